@@ -196,7 +196,7 @@ def test_flags_of_no_way_are_said():
     done = filtered(parsed(wrong, Path("w.mod")), corrector, FilterSettings({}, {}))
     (row,) = [row for row in done.rows if row.outcome == "left alone"]
     assert "configuration" in row.note
-    done = filtered(parsed(wrong, Path("w.mod")), corrector, FilterSettings({}, {}, loosely=True))
+    done = filtered(parsed(wrong, Path("w.mod")), corrector, FilterSettings({}, {}, any_configuration=True))
     assert [row.outcome for row in done.rows].count("moved") == 3
     assert any("configuration" in row.note for row in done.rows)
 

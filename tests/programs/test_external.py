@@ -135,5 +135,5 @@ def test_an_axis_in_another_unit_than_the_robots_is_left_alone():
     """Fails if degrees of a table move a rail by millimetres."""
     axes = Axes(7, tuple(range(1, 7)), {1: 0}, {1: "deg"})
     read = parsed(FILES["weld.ls"][0].encode(), Path("weld.ls"))
-    assert axes.lacking(read.targets[0]) == "gives external axis 1 in mm, which by the robot file is in deg"
-    assert Axes(7, tuple(range(1, 7)), {1: 0}, {1: "mm"}).at(read.targets[0])[0] == pytest.approx(0.012)
+    assert axes.external_problem(read.targets[0]) == "gives external axis 1 in mm, which by the robot file is in deg"
+    assert Axes(7, tuple(range(1, 7)), {1: 0}, {1: "mm"}).external_readings(read.targets[0])[0] == pytest.approx(0.012)

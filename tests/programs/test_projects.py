@@ -730,4 +730,4 @@ def test_a_routine_that_sets_the_tool_leaves_it_unknown(maker, true_arm):
     assert len(moved) == 2
     (row,) = [row for row in done.uncorrected if "XSERVICE" not in row.name]
     assert row.reason == "unknown tool or frame"
-    assert "does not say with which tool" in row.note
+    assert "does not state the tool" in row.note

@@ -79,7 +79,7 @@ def test_what_no_controller_takes_is_refused_with_its_line(name, old, new, line)
 def test_what_is_no_target_is_named(name, left):
     """Fails if a target that is computed is guessed, or passed over in silence."""
     text, _ = FILES[name]
-    told = {one.name: one.note for one in parsed(text.encode(), Path(name)).left}
+    told = {one.name: one.note for one in parsed(text.encode(), Path(name)).skipped}
     assert set(told) == set(left)
     assert all(word in told[what] for what, word in left.items())
 
@@ -93,11 +93,11 @@ def test_a_literal_in_an_expression_is_named():
     assert [(one.name, one.line) for one in program.targets] == [
         ("Offs(…)", 7)
     ]  # the one of which it is known what is made
-    assert [one.line for one in program.left] == [3, 6]
+    assert [one.line for one in program.skipped] == [3, 6]
     text = "DEF P( )\nGO({X 1,Y 2,Z 3,A 0,B 0,C 0,S 2,T 2})\nEND\n"
-    assert [one.line for one in parsed(text.encode(), Path("p.src")).left] == [2]
+    assert [one.line for one in parsed(text.encode(), Path("p.src")).skipped] == [2]
     text = "def go(x):\n  movel(x)\nend\ngo(p[0.1,0.2,0.3,0,0,0])\n"
-    assert [one.line for one in parsed(text.encode(), Path("p.script")).left] == [2, 4]
+    assert [one.line for one in parsed(text.encode(), Path("p.script")).skipped] == [2, 4]
 
 
 PASSED_ON = r"""MODULE M
@@ -117,7 +117,7 @@ def test_what_a_routine_passes_on_is_not_known():
     program = parsed(PASSED_ON.encode(), Path("m.mod"))
     (target,) = program.targets
     assert [(use.tool, use.frame) for use in target.uses] == [("tool0", "?wobj")]
-    assert [(one.name, one.reason) for one in program.left] == [("parked", "never taught")]
+    assert [(one.name, one.reason) for one in program.skipped] == [("parked", "never taught")]
 
 
 def test_what_controllers_write_and_manuals_leave_out_is_read():
@@ -143,10 +143,7 @@ def test_a_file_is_told_by_name_and_beginning():
     """Fails if a file in another language than its name says is read, or one without a known name is not recognised."""
     rapid, krl = FILES["weld.mod"][0], FILES["weld.src"][0]
     assert parsed(rapid.encode(), Path("weld.txt")).maker == "rapid"
-    for name, text, told in (
-        ("weld.mod", krl, "begins as KUKA KRL does"),
-        ("notes.txt", "nothing\n", "no robot program"),
-    ):
+    for name, text, told in (("weld.mod", krl, "begins like KUKA KRL"), ("notes.txt", "nothing\n", "no robot program")):
         with pytest.raises(InputError, match=told):
             parsed(text.encode(), Path(name))
 

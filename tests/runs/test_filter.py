@@ -88,7 +88,7 @@ def test_the_tool_lands_where_the_nominal_robot_has_it(cell):
     assert "--payload" not in answer.err
     empty = cell.calflow("filter", cell / "runs", cell / "points.ls", "--out", cell / "empty.ls")
     assert "FANUC shows joint 3 against the horizontal" in empty.err
-    assert "no --payload: the robot counts as carrying none of light, heavy" in empty.err
+    assert "no --payload: the robot is taken to carry none of light, heavy" in empty.err
 
 
 UNTAUGHT = """P[3]{
@@ -155,7 +155,7 @@ def test_what_is_not_known_is_asked_for(cell):
     broken = (cell / "points.ls").read_text().replace("J2=   -40.000 deg,", "J2=   -40.000 deg")
     (cell / "points.ls").write_text(broken)
     (said,) = cell.refused("filter", cell / "runs", cell / "points.ls")
-    assert said.startswith("points.ls:15: is not FANUC LS that calflow understands")
+    assert said.startswith("points.ls:15: is not FANUC LS that calflow can parse")
     assert not list(Path(str(cell.path)).glob("*corrected*"))
 
 
@@ -185,7 +185,7 @@ def test_conditions_that_a_program_cannot_show_are_asked_for():
         check_stated(needed, (), GO_ON)
     assert len(refused.value.problems) == len(names)
     for problem in refused.value.problems:
-        for words in ("--in-order", "--condition", "temperature_degC", "cannot say others", "--without-conditions"):
+        for words in ("--in-order", "--condition", "temperature_degC", "cannot be stated", "--without-conditions"):
             assert words in problem.message
 
 

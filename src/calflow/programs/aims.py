@@ -15,7 +15,7 @@ from calflow.deployment.conventions import inverse
 from calflow.files.problems import InputError, Problem
 from calflow.programs.calibrated_robot import Axes
 from calflow.programs.edits import Edit, declared_again
-from calflow.programs.target import Left, Program, Reason, Target, Use
+from calflow.programs.target import Program, Reason, Skipped, Target, Use
 
 UNIT_LENGTH = 1e-3  # tolerance of a quaternion's norm, as makers allow
 LONGEST_NAME = 24  # characters that every maker allows
@@ -23,12 +23,12 @@ LONGEST_NAME = 24  # characters that every maker allows
 
 @dataclass(frozen=True)
 class FilterSettings:
-    """The user's settings for what programs leave open.
+    """The user's settings for what programs do not state.
 
     tools, frames: poses (4, 4) by name; tool, frame: the names used where a move gives none. base, flange (4, 4): the
     controller's, relative to those of the robot file. start [rad or m]: joint readings near the first target, for
-    programs without configuration flags. loosely: if no solution has a target's flags, take the one nearest to the
-    target before.
+    programs without configuration flags. any_configuration: if no solution has a target's flags, take the one nearest to
+    the previous target.
     """
 
     tools: Mapping[str, np.ndarray]
@@ -38,7 +38,7 @@ class FilterSettings:
     base: np.ndarray = field(default_factory=lambda: np.eye(4))
     flange: np.ndarray = field(default_factory=lambda: np.eye(4))
     start: tuple[float, ...] | None = None
-    loosely: bool = False
+    any_configuration: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,13 +74,13 @@ class Aim:
 
 @dataclass(frozen=True)
 class _Moves:
-    """The moves to a target with the same tool and frame, placed (4, 4) each; unknown: which of these, and why."""
+    """The moves to a target with the same tool and frame, placed (4, 4) each; unknown: which of them, and why."""
 
     uses: tuple[Use, ...]
     placed: tuple[np.ndarray, np.ndarray] | None
-    unknown: tuple[tuple[str, Left], ...] = ()
+    unknown: tuple[tuple[str, Skipped], ...] = ()
 
-    def with_those_of(self, other: _Moves) -> bool:
+    def same_frames(self, other: _Moves) -> bool:
         """Return whether other moves have the same tool and frame."""
         if self.placed is None or other.placed is None:
             return self.placed is other.placed
@@ -99,7 +99,7 @@ def all_targets(programs: Iterable[Program]) -> Iterator[tuple[str, Target]]:
 
 def aims_of(
     programs: Sequence[Program], choices: FilterSettings, axes: Axes
-) -> tuple[list[Aim], list[tuple[str, Left]]]:
+) -> tuple[list[Aim], list[tuple[str, Skipped]]]:
     """Return the aims of all targets, and by file the targets whose tool or frame is unknown or ambiguous.
 
     Aims at poses computed from a target come after the target's aim, and follow it.
@@ -109,26 +109,25 @@ def aims_of(
     """
     problems: dict[str, Problem] = {}
     aims: list[Aim] = []
-    doubtful: list[tuple[str, Left]] = []
+    doubtful: list[tuple[str, Skipped]] = []
     where = "this file" if len(programs) == 1 else "these files"
     new_name = _new_names(programs)
     for program in programs:
         known = replace(choices, tools={**program.tools, **choices.tools}, frames={**program.frames, **choices.frames})
         for target in program.targets:
-            if unusual := axes.lacking(target) or _odd_length(target):
-                doubtful.append((program.file, Left(target.name, target.line, "incomplete", unusual)))
+            if unusual := axes.external_problem(target) or _norm_problem(target):
+                doubtful.append((program.file, Skipped(target.name, target.line, "incomplete", unusual)))
                 continue
             if target.turn is None:
                 aims.append(Aim(file=program.file, target=target, readings=axes.readings(target, target.values)))
                 continue
             first, *others = groups = _by_tool_and_frame(target, known, where)
             if others and (target.declared is None or any(moves.bound or moves.unknown for moves in others)):
-                several = _several(target, groups)
-                doubtful.append((program.file, several))
+                doubtful.append((program.file, _conflict(target, groups)))
                 continue
-            for what, left in first.unknown:
-                message = left.note if left.name else f"{target.name}: {left.note}"
-                problems.setdefault(f"{what} {left.name}", Problem(message, Path(program.file), target.line))
+            for what, unknown in first.unknown:
+                message = unknown.note if unknown.name else f"{target.name}: {unknown.note}"
+                problems.setdefault(f"{what} {unknown.name}", Problem(message, Path(program.file), target.line))
             if first.unknown:
                 doubtful.append((program.file, replace(first.unknown[0][1], name=target.name, line=target.line)))
             for moves in groups:
@@ -139,24 +138,24 @@ def aims_of(
     return aims, doubtful
 
 
-def _odd_length(target: Target) -> str:
-    """Return what is wrong with the norm of a target's quaternion; empty if nothing."""
+def _norm_problem(target: Target) -> str:
+    """Return what is wrong with the norm of a target's quaternion, in words; empty if nothing."""
     length = float(np.linalg.norm(target.values[3:])) if target.turn == "quaternion" else 1.0
-    return f"has a quaternion of length {length:.4g}, where 1 is meant" if abs(length - 1) > UNIT_LENGTH else ""
+    return f"has a quaternion of length {length:.4g} instead of 1" if abs(length - 1) > UNIT_LENGTH else ""
 
 
 def _by_tool_and_frame(target: Target, known: FilterSettings, where: str) -> list[_Moves]:
     """Return the moves to a target by tool and frame: first those bound to its name, then those with unknowns."""
     groups: list[_Moves] = []
     for use in target.uses or (Use(),):
-        tool = _named("tool", use.tool, known.tool, known.tools, where)
-        frame = _named("frame", use.frame, known.frame, known.frames, where)
+        tool = _lookup("tool", use.tool, known.tool, known.tools, where)
+        frame = _lookup("frame", use.frame, known.frame, known.frames, where)
         if isinstance(tool, np.ndarray) and isinstance(frame, np.ndarray):
             moves = _Moves((use,), (known.flange @ tool, known.base @ frame))
         else:
-            lefts = tuple((what, left) for what, left in (("tool", tool), ("frame", frame)) if isinstance(left, Left))
-            moves = _Moves((use,), None, lefts)
-        alike = next((k for k, group in enumerate(groups) if group.with_those_of(moves)), None)
+            pair = ("tool", tool), ("frame", frame)
+            moves = _Moves((use,), None, tuple((what, why) for what, why in pair if isinstance(why, Skipped)))
+        alike = next((k for k, group in enumerate(groups) if group.same_frames(moves)), None)
         if alike is None:
             groups.append(moves)
         else:
@@ -164,20 +163,16 @@ def _by_tool_and_frame(target: Target, known: FilterSettings, where: str) -> lis
     return sorted(groups, key=lambda moves: (not moves.bound, not moves.unknown))
 
 
-def _several(target: Target, groups: Sequence[_Moves]) -> Left:
+def _conflict(target: Target, groups: Sequence[_Moves]) -> Skipped:
     """Return why a target with several tools or frames is not corrected."""
-    if unknown := [left for moves in groups for _, left in moves.unknown]:
+    if unknown := [why for moves in groups for _, why in moves.unknown]:
         return replace(unknown[0], name=target.name, line=target.line)
     uses = [use for moves in groups for use in moves.uses]
     names = {"tools": dict.fromkeys(use.tool for use in uses), "frames": dict.fromkeys(use.frame for use in uses)}
     named = [f"{what} ({', '.join(filter(None, each))})" for what, each in names.items() if len(each) > 1]
-    why = (
-        "some of its moves do not give its name"
-        if target.declared
-        else "it is no single declaration that can stand twice"
-    )
+    why = "some of its moves do not name it" if target.declared else "it has no declaration of its own to be repeated"
     note = f"is used with several {' and '.join(named)}: each needs a target of its own, and {why}"
-    return Left(target.name, target.line, "several tools or frames", note)
+    return Skipped(target.name, target.line, "several tools or frames", note)
 
 
 def _of_moves(file: str, target: Target, placed: tuple[np.ndarray, np.ndarray] | None, copy: str) -> list[Aim]:
@@ -198,17 +193,17 @@ def _of_moves(file: str, target: Target, placed: tuple[np.ndarray, np.ndarray] |
     return [aims[0], *(replace(aim, follows=True) for aim in aims[1:])]
 
 
-def _named(
+def _lookup(
     what: str, name: str | None, usual: str | None, matrices: Mapping[str, np.ndarray], where: str
-) -> np.ndarray | Left:
-    """Return the tool or frame (4, 4) of a move, or its name and why it is unknown."""
+) -> np.ndarray | Skipped:
+    """Return the tool or frame (4, 4) of a move, or why it is unknown."""
     wanted = name if name and name != "F" else usual
     if wanted is None:
-        note = f"the program does not say with which {what} it goes there: name it (--{what} NAME)"
-        return Left("", 0, "unknown tool or frame", note)
+        note = f"the program does not state the {what} of its moves: name it (--{what} NAME)"
+        return Skipped("", 0, "unknown tool or frame", note)
     if wanted not in matrices:
-        note = f"the numbers of {what} '{wanted}' do not stand in {where}: state them (--{what} '{wanted}=…')"
-        return Left(wanted, 0, "unknown tool or frame", note)
+        note = f"{what} '{wanted}' is not defined in {where}: state it (--{what} '{wanted}=…')"
+        return Skipped(wanted, 0, "unknown tool or frame", note)
     return matrices[wanted]
 
 

@@ -49,7 +49,7 @@ def _folder_files(folder: Path) -> dict[str, bytes]:
                 paths.append(path)
                 size += mode.st_size
             elif not stat.S_ISDIR(mode.st_mode):
-                problems.append(Problem("is a link, a device or the like; a project has files and folders alone", path))
+                problems.append(Problem("is a link, a device or the like; a project has only files and folders", path))
         _check_size(len(paths), size, folder)
     refuse_any(problems)
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in sorted(paths)}
@@ -76,7 +76,7 @@ def _members(packed: bytes, path: Path) -> Iterator[tuple[zipfile.ZipInfo, bytes
             _check_size(len(infos), size, path)
             yield info, content
     except (zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError, EOFError) as error:
-        raise refuse(f"is no archive that can be read: {error}", path) from None
+        raise refuse(f"is not a readable archive: {error}", path) from None
 
 
 def _unsafe(info: zipfile.ZipInfo) -> str:
@@ -134,4 +134,4 @@ def check_folder(files: Mapping[str, bytes], out: Path) -> None:
         InputError: it holds something else.
     """
     if (out.exists() or out.is_symlink()) and not (out.is_dir() and _folder_files(out) == files):
-        raise refuse("is there already and holds something else; remove it, or give another name (--out)", out)
+        raise refuse("is there already with other content; remove it, or give another name (--out)", out)

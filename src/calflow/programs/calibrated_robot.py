@@ -37,11 +37,11 @@ from calflow.robot.mechanism import Deflection, nominal_dimensions, pose
 from calflow.robot.robot import Robot
 
 SCALES = {"mm": 1e-3, "deg": np.pi / 180}
-TURNING = (0, 3, 5)  # joints of an arm, from 0, whose turns programs count
-APART = 1e-3  # m: distance below which axes count as meeting in a point
+TURNING = (0, 3, 5)  # joints of an arm, from 0, whose turns configurations count
+MEETING = 1e-3  # m: distance below which axes count as meeting in a point
 FREE = 6  # joints needed to correct position and orientation
-ALIKE = 1e-5  # rad or m: difference below which two inverse-kinematics solutions are the same
-MOST_CHANGE = np.deg2rad(10.0)  # a correction that turns a joint further shows that the target is at a singularity
+SAME = 1e-5  # rad or m: difference below which two inverse-kinematics solutions are the same
+LARGEST_CHANGE = np.deg2rad(10.0)  # a correction that turns a joint further shows that the target is at a singularity
 
 
 @dataclass(frozen=True)
@@ -49,8 +49,7 @@ class Axes:
     """The robot's joints as programs state them; number: the number of joints of the robot.
 
     arm: the arm's joints (from 0) in the order of programs; external: the joint of each external axis, by its number
-    from 1; units: the unit of its values in programs, deg or mm; endless: joints without limits, which may turn on and
-    on.
+    from 1; units: the unit of its values in programs, deg or mm; endless: joints without limits.
     """
 
     number: int
@@ -68,18 +67,18 @@ class Axes:
         units = {k: robot.joints[i].shown[0] for k, i in external.items()}
         return Axes(robot.n_joints, tuple(robot.arm), external, units, endless)
 
-    def turned(self, ways: np.ndarray) -> np.ndarray:
-        """Return solutions (n, n_joints), and the same a turn further of endless joints whose turns programs count."""
+    def with_turns(self, ways: np.ndarray) -> np.ndarray:
+        """Return solutions (n, n_joints), also a turn further of endless joints whose turns configurations count."""
         for joint in (self.arm[k] for k in TURNING if k < len(self.arm) and self.arm[k] in self.endless):
             ways = np.concatenate([ways + 2 * np.pi * turn * np.eye(self.number)[joint] for turn in (0, -1, 1)])
         return ways
 
-    def turned_to(self, ways: np.ndarray, near: np.ndarray) -> np.ndarray:
+    def turned_near(self, ways: np.ndarray, near: np.ndarray) -> np.ndarray:
         """Return solutions (n, n_joints), endless joints turned by whole turns nearest to readings (n_joints,)."""
         endless = np.isin(np.arange(self.number), self.endless)
         return np.asarray(ways + 2 * np.pi * np.round((near - ways) / (2 * np.pi)) * endless)
 
-    def lacking(self, target: Target) -> str:
+    def external_problem(self, target: Target) -> str:
         """Return which external axis a target leaves undetermined, in words; empty if none."""
         for number, unit in self.units.items():
             if number not in target.external:
@@ -89,7 +88,7 @@ class Axes:
                 return f"gives external axis {number} in {axis_unit}, which by the robot file is in {unit}"
         return ""
 
-    def at(self, target: Target) -> np.ndarray:
+    def external_readings(self, target: Target) -> np.ndarray:
         """Return readings (n_joints,) [rad or m] with the external axes of a target, and zero for the arm."""
         values = np.zeros(self.number)
         for number, joint in self.external.items():
@@ -98,11 +97,11 @@ class Axes:
 
     def readings(self, target: Target, arm: Sequence[float] | np.ndarray) -> np.ndarray:
         """Return readings (n_joints,) of the arm's readings (n,) and the external axes of a target."""
-        values = self.at(target)
+        values = self.external_readings(target)
         values[list(self.arm)] = arm
         return values
 
-    def unknown_words(self, targets: Iterable[Target]) -> tuple[str, ...]:
+    def unknown_axes_note(self, targets: Iterable[Target]) -> tuple[str, ...]:
         """Return a note if targets give non-zero values of external axes that the robot does not have."""
         others = [
             {number for number, axis in target.external.items() if axis.value and number not in self.external}
@@ -115,7 +114,7 @@ class Axes:
         give = "1 target gives" if count == 1 else f"{count} targets give"
         return (
             f"{give} values of {axes}: these stay as they are. The robot file has no such joint (external = {numbers[0]}): what "
-            "that axis moves, as a rail under the robot or a table under the piece, counts as standing still",
+            "that axis moves, as a rail under the robot or a table under the workpiece, counts as fixed",
         )
 
 
@@ -140,7 +139,7 @@ class ArmGeometry:
         floor = at.links[robot.ground - 1][:3, :3].T if robot.ground else ca.SX.eye(3)
         axes = [floor @ at.joints[i][:3, 2:4] for i in robot.arm]
         directions, points = [axis[:, 0] for axis in axes], [axis[:, 1] for axis in axes]
-        wrist, off = _meeting(directions[3:], points[3:])
+        wrist, off = _nearest_point(directions[3:], points[3:])
         out, up, apart = (
             np.array(value).ravel()
             for value in ca.Function("stretched", [q], [wrist - points[0], directions[0], off])(
@@ -148,9 +147,9 @@ class ArmGeometry:
             )
         )
         outward = out - up * (up @ out)
-        if apart.max() > APART or np.linalg.norm(outward) < APART:
+        if apart.max() > MEETING or np.linalg.norm(outward) < MEETING:
             return ArmGeometry(robot, None)
-        forward = _turned(ca.DM(outward), directions[0], q[robot.arm[0]])
+        forward = _rotated(ca.DM(outward), directions[0], q[robot.arm[0]])
         upper = points[2] - points[1]
         upper -= directions[1] * ca.dot(directions[1], upper)
         side = ca.cross(ca.if_else(directions[0][2] >= 0, directions[0], -directions[0]), forward)
@@ -159,7 +158,7 @@ class ArmGeometry:
         return ArmGeometry(robot, ca.Function("sides", [q], [ca.densify(ca.vertcat(front, elbow))]))
 
     def postures(self, readings: np.ndarray) -> list[ArmPosture]:
-        """Return the arm's postures at readings (n, n_joints); external axes move all of it and do not matter."""
+        """Return the arm's postures at readings (n, n_joints); external axes move all of it and have no effect."""
         arm = [tuple(reading) for reading in readings[:, self.robot.arm].tolist()]
         if self.sides is None:
             return [ArmPosture(reading, None, None) for reading in arm]
@@ -174,7 +173,7 @@ class ArmGeometry:
         return np.array(self.sides(self.robot.reading_matrix @ flipped.T)).T > 0
 
 
-def _meeting(directions: Sequence[ca.SX], points: Sequence[ca.SX]) -> tuple[ca.SX, ca.SX]:
+def _nearest_point(directions: Sequence[ca.SX], points: Sequence[ca.SX]) -> tuple[ca.SX, ca.SX]:
     """Return the point nearest to three axes (least squares), and the distance of each axis from it (3,)."""
     across = [ca.SX.eye(3) - direction @ direction.T for direction in directions]
     wrist = ca.solve(sum(across), sum(projector @ point for projector, point in zip(across, points, strict=True)))
@@ -182,7 +181,7 @@ def _meeting(directions: Sequence[ca.SX], points: Sequence[ca.SX]) -> tuple[ca.S
     return wrist, ca.vertcat(*far)
 
 
-def _turned(vector: ca.DM, axis: ca.SX, angle: ca.SX) -> ca.SX:
+def _rotated(vector: ca.DM, axis: ca.SX, angle: ca.SX) -> ca.SX:
     return (
         vector * ca.cos(angle)
         + ca.cross(axis, vector) * ca.sin(angle)
@@ -207,7 +206,7 @@ class CalibratedRobot:
     def __post_init__(self) -> None:
         if not set(self.robot.arm) <= set(self.robot.chain(self.robot.n_joints)):
             raise refuse(
-                "programs are of one arm up to the last link: expected further joints to be external axes",
+                "a program moves one arm up to the last link: expected all other joints to be external axes",
                 key=f"robot '{self.robot.name}'",
             )
 
@@ -229,7 +228,7 @@ class CalibratedRobot:
     def flange(self, readings: np.ndarray) -> np.ndarray:
         """Return the flange poses (n, 4, 4) of the controller's forward kinematics at readings (n, n_joints)."""
         seen, tool = _frames(self._rigid, np.zeros(0), self._conditions(readings))
-        return inverse(self._stands) @ seen @ inverse(tool)
+        return inverse(self._base) @ seen @ inverse(tool)
 
     def solutions(
         self, flanges: np.ndarray, starts: int, near: Sequence[np.ndarray | None], external: np.ndarray
@@ -278,7 +277,7 @@ class CalibratedRobot:
         solutions, of = self._all_turns(solutions, of)
         order = np.argsort(of, kind="stable")
         ways = np.split(solutions[order], np.searchsorted(of[order], np.arange(1, len(flanges))))
-        return [_different(way) for way in ways]
+        return [_unique(way) for way in ways]
 
     @cached_property
     def _drawn(self) -> Callable[[tuple[float, ...]], list[tuple[np.ndarray, scipy.spatial.KDTree]]]:
@@ -297,7 +296,7 @@ class CalibratedRobot:
         """Return the converged solutions and their pose indices; of: the pose index of each start."""
         if not len(of):
             return begun, of
-        aims = (self._stands @ flanges @ self._nominal_tool)[of]
+        aims = (self._base @ flanges @ self._nominal_tool)[of]
         conditions = self._conditions(begun)
         landed = landing(self._rigid, np.zeros(0), conditions, Targets(aims[:, :3, 3], aims[:, :3, :3]), begun)
         return landed.readings[landed.reached], of[landed.reached]
@@ -324,13 +323,15 @@ class CalibratedRobot:
         )
         change = np.abs(landed.readings - readings).max(axis=1)
         reasons: list[Reason | None] = [
-            None if reached and far < MOST_CHANGE else "singularity" if reached else "out of reach"
+            None if reached and far < LARGEST_CHANGE else "singularity" if reached else "out of reach"
             for reached, far in zip(landed.reached, change, strict=True)
         ]
-        lacking = (
-            () if oriented else (f"{len(self.axes.arm)} joints cannot correct the orientation: the marker's place is",)
-        )
-        return replace(landed, notes=(*landed.notes, *lacking)), reasons
+        if not oriented:
+            note = (
+                f"{len(self.axes.arm)} joints cannot correct the orientation: only the marker's position is corrected"
+            )
+            landed = replace(landed, notes=(*landed.notes, note))
+        return landed, reasons
 
     @cached_property
     def _arm(self) -> ArmGeometry:
@@ -341,7 +342,7 @@ class CalibratedRobot:
         return Model(self.robot, (), ())
 
     @cached_property
-    def _stands(self) -> np.ndarray:
+    def _base(self) -> np.ndarray:
         return placement_matrix((*self.robot.base.origin, *self.robot.base.rotation))
 
     @cached_property
@@ -365,7 +366,7 @@ class CalibratedRobot:
             if robot.loop and joint in (robot.loop.joint - 2, robot.loop.joint - 1):
                 continue
             turned = np.concatenate([every + 2 * np.pi * k * np.eye(self.n_joints)[joint] for k in (-2, -1, 0, 1, 2)])
-            within = (turned[:, joint] >= low[joint] - ALIKE) & (turned[:, joint] <= high[joint] + ALIKE)
+            within = (turned[:, joint] >= low[joint] - SAME) & (turned[:, joint] <= high[joint] + SAME)
             every, of = turned[within], np.tile(of, 5)[within]
         return every @ robot.angle_matrix.T, of
 
@@ -383,9 +384,9 @@ def _frames(model: Model, p: np.ndarray, conditions: np.ndarray) -> tuple[np.nda
     return tool, on_flange
 
 
-def _different(readings: np.ndarray) -> np.ndarray:
+def _unique(readings: np.ndarray) -> np.ndarray:
     """Return readings without duplicates of earlier ones."""
-    alike = np.abs(readings[:, None] - readings).max(axis=2) <= ALIKE
+    alike = np.abs(readings[:, None] - readings).max(axis=2) <= SAME
     return np.asarray(readings[~np.triu(alike, 1).any(axis=0)])
 
 

@@ -16,15 +16,14 @@ from calflow.files.tables import column
 from calflow.programs.aims import Aim, FilterSettings, aims_of, all_targets, second_targets
 from calflow.programs.calibrated_robot import CalibratedRobot
 from calflow.programs.edits import PLACE_STEP, Edit, to_flags, to_pose, to_readings, with_edits
-from calflow.programs.postures import following, with_meant_readings
-from calflow.programs.target import UNASKED, Flag, Left, Program, Reason
+from calflow.programs.postures import following, with_intended_readings
+from calflow.programs.target import UNASKED, Flag, Program, Reason, Skipped
 
-WORTH = 0.5  # share of its correction below which the error of a pose that follows a target counts as corrected
+SHARED_SHARE = 0.5  # a computed pose counts as corrected if its remaining error is below this share of its correction
 Outcome = Literal["moved", "unchanged", "follows", "not reached", "left alone"]
-DONE: tuple[Outcome, ...] = ("moved", "unchanged", "follows")
-IN_THE_WAY: Mapping[Reason, str] = {
+FAILURES: Mapping[Reason, str] = {
     "singularity": "at a singularity: the correction would turn a joint by more than 10 degrees",
-    "out of reach": "not reached within the joint limits once corrected",
+    "out of reach": "once corrected, outside the joint limits",
 }
 
 
@@ -102,10 +101,10 @@ def filtered(programs: Sequence[Program], corrector: CalibratedRobot, choices: F
         if target.turn is None and len(target.numbers) != len(corrector.axes.arm)
     )
     aims, doubtful = aims_of(programs, choices, corrector.axes)
-    resolved = with_meant_readings([aim for aim in aims if not aim.follows], corrector, choices)
+    resolved = with_intended_readings([aim for aim in aims if not aim.follows], corrector, choices)
     resolved += following([aim for aim in aims if aim.follows], resolved, corrector)
-    left = [(program.file, skipped) for program in programs for skipped in program.left]
-    rows = [left_row(file, skipped) for file, skipped in (*left, *doubtful)]
+    skipped = [(program.file, entry) for program in programs for entry in program.skipped]
+    rows = [skipped_row(file, entry) for file, entry in (*skipped, *doubtful)]
     rows += [
         _row(aim, "not reached" if aim.reason == "out of reach" else "left alone", aim.note, reason=aim.reason)
         for aim in resolved
@@ -122,7 +121,7 @@ def filtered(programs: Sequence[Program], corrector: CalibratedRobot, choices: F
     ordered = tuple(sorted([*rows, *corrected], key=lambda row: (place[row.file], row.line)))
     files = {file: with_edits(source, by_file[file]) for file, source in sources.items()}
     return Filtered(
-        files, ordered, (*corrector.axes.unknown_words(target for _, target in all_targets(programs)), *notes)
+        files, ordered, (*corrector.axes.unknown_axes_note(target for _, target in all_targets(programs)), *notes)
     )
 
 
@@ -132,7 +131,7 @@ def _corrected(
     """Return the edits and the rows of aims with known readings, and the notes of the correction."""
     edits: dict[tuple[str, int, str], list[Edit]] = {}
     rows, notes = [], dict[str, None]()
-    poses: dict[tuple[str, int, str], np.ndarray] = {}  # as written
+    poses: dict[tuple[str, int, str], np.ndarray] = {}  # as written to the file
     # Aims that follow come second, since their poses are computed from those written.
     for group in ([aim for aim in aims if not aim.follows], [aim for aim in aims if aim.follows]):
         if not group:
@@ -144,25 +143,22 @@ def _corrected(
         turned = 1e3 * angle_between(before, after)
         postures = list(zip(corrector.postures(readings), corrector.postures(correction.readings), strict=True))
         for k, aim in enumerate(group):
-            remaining, unknown = (
-                1e3 * float(correction.remaining[k]),
-                1e3 * float(np.sqrt((correction.sd[k] ** 2).sum())),
-            )
+            remaining, sd = 1e3 * float(correction.remaining[k]), 1e3 * float(np.linalg.norm(correction.sd[k]))
             if reason := reasons[k]:
-                rows.append(_row(aim, "not reached", IN_THE_WAY[reason], reason=reason, remaining_mm=remaining))
+                rows.append(_row(aim, "not reached", FAILURES[reason], reason=reason, remaining_mm=remaining))
                 continue
             old, new = readings[k], correction.readings[k]
             tool = aim.tool @ aim.use.computed.after if aim.use and aim.use.computed else aim.tool
             if aim.follows:
                 sent = aim.frame @ poses[aim.key] @ inverse(aim.tool) if aim.key in poses else before[k]
-                remaining += _apart_mm(sent, after[k], tool)
-            moved = _apart_mm(before[k], after[k], tool)
+                remaining += _distance_mm(sent, after[k], tool)
+            moved = _distance_mm(before[k], after[k], tool)
             figures: dict[str, Any] = {
                 "moved_mm": moved, "turned_mrad": float(turned[k]), "remaining_mm": remaining,
-                "largest_deg": float(np.rad2deg(np.abs(new - old).max())), "promised_mm": math.hypot(remaining, unknown),
+                "largest_deg": float(np.rad2deg(np.abs(new - old).max())), "promised_mm": math.hypot(remaining, sd),
             }  # fmt: skip
             if aim.follows:
-                shared: Reason | None = "shared" if remaining > max(WORTH * moved, 1e3 * PLACE_STEP) else None
+                shared: Reason | None = "shared" if remaining > max(SHARED_SHARE * moved, 1e3 * PLACE_STEP) else None
                 note = f"is computed from {aim.copy or aim.target.name}, whose correction it shares"
                 rows.append(_row(aim, "follows", note, reason=shared, **figures))
                 continue
@@ -180,15 +176,15 @@ def _corrected(
     return edits, rows, tuple(notes)
 
 
-def _apart_mm(flange: np.ndarray, other: np.ndarray, tool: np.ndarray) -> float:
+def _distance_mm(flange: np.ndarray, other: np.ndarray, tool: np.ndarray) -> float:
     """Return the distance [mm] between the tool's positions at two flange poses."""
     return 1e3 * float(np.linalg.norm((flange @ tool)[:3, 3] - (other @ tool)[:3, 3]))
 
 
-def left_row(file: str, left: Left) -> FilteredTarget:
-    """Return the row of a target or statement that is left alone in a file."""
+def skipped_row(file: str, entry: Skipped) -> FilteredTarget:
+    """Return the row of a target or statement of a file that is left alone."""
     return FilteredTarget(
-        file=file, name=left.name, line=left.line, kind="", outcome="left alone", reason=left.reason, note=left.note
+        file=file, name=entry.name, line=entry.line, kind="", outcome="left alone", reason=entry.reason, note=entry.note
     )
 
 

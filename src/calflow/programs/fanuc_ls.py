@@ -15,20 +15,20 @@ import numpy as np
 from calflow.deployment.conventions import NOWHERE, Turn, pose_matrix
 from calflow.files.problems import Problem
 from calflow.programs.syntax import Grammar, Node, TreeBuilder, branch, leaves, lines_in, refusal
-from calflow.programs.target import External, FanucConfiguration, Flag, Left, Number, Program, Target, Use
+from calflow.programs.target import External, FanucConfiguration, Flag, Number, Program, Skipped, Target, Use
 
 SUFFIXES = (".ls", ".va")
 TABLE = re.compile(r"\[\*SYSTEM\*\]\$MNU(TOOL|FRAME)\b(?!NUM)([^\[]*\[.*?)(?=^[ \t]*\[\*|\Z)", re.MULTILINE | re.DOTALL)
 ENTRY = re.compile(r"\[\s*1\s*,\s*(\d+)\s*\]\s*=(.*?)(?=\[|\Z)", re.DOTALL)  # of the first motion group
 COORDINATE = re.compile(r"\b([XYZWPR]):\s*(-?(?:\d+\.?\d*|\.\d+))")
-MARK = "\xef\xbb\xbf"  # byte order mark of UTF-8
+BOM = "\xef\xbb\xbf"  # byte order mark of UTF-8
 SECTIONS = ("/PROG", "/ATTR", "/APPL", "/MN", "/POS", "/END")  # in this order, those in the middle not in every file
 PARTS = re.compile(r"[^\s=]+")
 CONFIG = re.compile(r"'\s*([NF])\s*([UD])\s*([TB])\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*'")
-PLACE = ("X", "Y", "Z", "W", "P", "R")
-REMOTE = tuple(f"R{name}" for name in PLACE)  # coordinates of a stationary (remote) tool
+COMPONENTS = ("X", "Y", "Z", "W", "P", "R")
+REMOTE = tuple(f"R{name}" for name in COMPONENTS)  # coordinates of a stationary (remote) tool
 UNITS = {"mm": 1e-3, "deg": np.pi / 180}
-INSTRUCTION = re.compile(r"\s*(?:\d*\s*:|-* *;)")  # how a line of /MN begins
+INSTRUCTION = re.compile(r"\s*(?:\d*\s*:|-* *;)")  # start of a line of /MN
 MOTION = re.compile(r"\s*\d*\s*:\s*[JLCAS]\s*PR?\[|\s*:\s*PR?\[")  # a circular motion continues in the next line
 POINT = re.compile(r"\bP\[\s*(\d+)\s*(?::[^\]]*)?\]")
 
@@ -45,15 +45,15 @@ POSITIONS = Grammar("fanuc_ls", builder=_Builder())
 
 
 def is_fanuc(text: str) -> bool:
-    """Return whether a text begins as an LS program, or is a listing of tools and frames."""
-    return re.match(rf"(?:{MARK})?\s*/PROG\b", text) is not None or TABLE.search(text) is not None
+    """Return whether a text begins like an LS program, or lists tools and frames."""
+    return re.match(rf"(?:{BOM})?\s*/PROG\b", text) is not None or TABLE.search(text) is not None
 
 
 def read_fanuc(source: bytes, file: str) -> Program:
     """Read a program, or a listing.
 
     Raises:
-        InputError: it is not LS as this reads it, with the line.
+        InputError: it cannot be parsed, with the line.
     """
     text = source.decode("latin-1")
     if tables := TABLE.findall(text.replace("\r", "\n")):
@@ -63,7 +63,7 @@ def read_fanuc(source: bytes, file: str) -> Program:
         )
         return Program("fanuc", source, (), (), tools, frames, file)
     sections = _sections(text)
-    relative, left = _moves(sections["/MN"]) if "/MN" in sections else ({}, [])
+    relative, skipped = _moves(sections["/MN"]) if "/MN" in sections else ({}, [])
     targets = []
     if "/POS" in sections:
         part = sections["/POS"]
@@ -71,15 +71,15 @@ def read_fanuc(source: bytes, file: str) -> Program:
         before = re.sub(r"[^\r\n]", " ", text[: part.start])
         for position in _positions(POSITIONS.tree(before + part.text)):
             number = int(re.findall(r"\d+", position.name)[0])
-            if isinstance(position, Left):
-                left.append(position)
+            if isinstance(position, Skipped):
+                skipped.append(position)
             elif number in relative:
-                reason = f"the move in line {relative[number]} goes on by it from where the robot is (INC)"
-                left.append(Left(position.name, position.line, "relative", reason))
+                reason = f"is an increment (INC) of the move in line {relative[number]}"
+                skipped.append(Skipped(position.name, position.line, "relative", reason))
             else:
                 targets.append(position)
-    left.sort(key=lambda skipped: skipped.line)
-    return Program("fanuc", source, tuple(targets), tuple(left), {"0": NOWHERE}, {"0": NOWHERE}, file)
+    skipped.sort(key=lambda entry: entry.line)
+    return Program("fanuc", source, tuple(targets), tuple(skipped), {"0": NOWHERE}, {"0": NOWHERE}, file)
 
 
 def link_fanuc(files: Sequence[Program]) -> tuple[list[Program], list[Problem]]:
@@ -90,27 +90,25 @@ def link_fanuc(files: Sequence[Program]) -> tuple[list[Program], list[Problem]]:
 
 def _agreed(tables: Iterable[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
     """Return the entries on which all tables agree."""
-    errors: dict[str, list[np.ndarray]] = {}
+    entries: dict[str, list[np.ndarray]] = {}
     for table in tables:
         for number, matrix in table.items():
-            errors.setdefault(number, []).append(matrix)
-    return {
-        number: every[0] for number, every in errors.items() if all(np.allclose(every[0], matrix) for matrix in every)
-    }
+            entries.setdefault(number, []).append(matrix)
+    return {number: every[0] for number, every in entries.items() if np.allclose(every[0], every)}
 
 
 def _entries(table: str) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield number and pose of a table's entries, [1,2] = Group: 1 Config: … X: 1.000 …, without those never set."""
+    """Yield number and pose of a table's entries, [1,2] = Group: 1 Config: … X: 1.000 …, except unset ones."""
     for number, entry in ENTRY.findall(table):
         given = {name: float(value) for name, value in COORDINATE.findall(entry)}
-        if set(given) == set(PLACE):
-            values = [given[name] * (UNITS["mm"] if name in "XYZ" else UNITS["deg"]) for name in PLACE]
+        if set(given) == set(COMPONENTS):
+            values = [given[name] * (UNITS["mm"] if name in "XYZ" else UNITS["deg"]) for name in COMPONENTS]
             yield number, pose_matrix(values, "xyz")
 
 
 @dataclass(frozen=True)
 class _Section:
-    """The text of a section after its head, its byte position and its line."""
+    """The text of a section after its head, with its byte position and line."""
 
     text: str
     start: int
@@ -121,9 +119,9 @@ def _sections(text: str) -> dict[str, _Section]:
     """Return the sections of a program by name."""
     heads = [
         (match.group(1), match.start(), match.end())
-        for match in re.finditer(rf"(?:(?<![^\r\n])|(?<={MARK}))(/[A-Za-z]+)\b", text)
+        for match in re.finditer(rf"(?:(?<![^\r\n])|(?<={BOM}))(/[A-Za-z]+)\b", text)
     ]
-    if not heads or heads[0][0] != "/PROG" or text[: heads[0][1]].removeprefix(MARK).strip():
+    if not heads or heads[0][0] != "/PROG" or text[: heads[0][1]].removeprefix(BOM).strip():
         raise refusal("expected /PROG at the beginning", 1)
     sections: dict[str, _Section] = {}
     place = -1
@@ -136,16 +134,15 @@ def _sections(text: str) -> dict[str, _Section]:
         place = SECTIONS.index(name)
         end = heads[k + 1][1] if k + 1 < len(heads) else len(text)
         sections[name] = _Section(text[start:end], start, line)
-    lacking = [name for name in ("/MN", "/POS", "/END") if name not in sections]
-    if lacking:
+    if lacking := [name for name in ("/MN", "/POS", "/END") if name not in sections]:
         raise refusal(f"expected a section {lacking[0]}, found the end of the file", 1 + lines_in(text))
     return sections
 
 
-def _moves(section: _Section) -> tuple[dict[int, int], list[Left]]:
+def _moves(section: _Section) -> tuple[dict[int, int], list[Skipped]]:
     """Return from /MN the points used as increments (INC), with the line, and the moves that cannot be corrected."""
     relative: dict[int, int] = {}
-    left = []
+    skipped = []
     for k, line in enumerate(re.split(r"\r\n|\r|\n", section.text)):
         number = section.line + k
         if k and line.strip() and not INSTRUCTION.match(line):
@@ -157,13 +154,13 @@ def _moves(section: _Section) -> tuple[dict[int, int], list[Left]]:
             relative |= {int(point): number for point in POINT.findall(code)}
         elif "Offset" in code:
             what = f"move in line {number}"
-            left.append(Left(what, number, "shared", "adds an offset to its point, whose correction it shares"))
+            skipped.append(Skipped(what, number, "shared", "adds an offset to its point, whose correction it shares"))
         if re.match(r"[^%]*?\d?\s*:\s*[JLCAS]?\s*(?:P\[\s*R\[|PR\[)", code):
-            left.append(Left(f"move in line {number}", number, "computed", "goes to a point that a register names"))
-    return relative, left
+            skipped.append(Skipped(f"move in line {number}", number, "computed", "goes to a point given by a register"))
+    return relative, skipped
 
 
-def _positions(tree: Node) -> Iterator[Target | Left]:
+def _positions(tree: Node) -> Iterator[Target | Skipped]:
     """Yield the positions, P[1]{ groups };, by their first motion group."""
     names: set[str] = set()
     for position in tree.items:
@@ -172,7 +169,7 @@ def _positions(tree: Node) -> Iterator[Target | Left]:
         if not number.text.isdigit():
             raise refusal(f"expected the position's number, found '{number.text}'", number.line)
         if name in names:
-            raise refusal(f"{name} stands there twice", position.line)
+            raise refusal(f"{name} is defined twice", position.line)
         names.add(name)
         given = [group.items[0].text for group in groups]
         for k, (title, group) in enumerate(zip(given, groups, strict=True)):
@@ -183,7 +180,7 @@ def _positions(tree: Node) -> Iterator[Target | Left]:
                 yield read_group
 
 
-def _group(group: Node, name: str, line: int) -> Target | Left:
+def _group(group: Node, name: str, line: int) -> Target | Skipped:
     """GP1: UF : 0, UT : 1, CONFIG : '...', X = 1 mm, ... or J1 = 1 deg, ..."""
     _, frame, tool, quoted, *coordinates = group.items
     for what, index in (("UF", frame), ("UT", tool)):
@@ -193,9 +190,9 @@ def _group(group: Node, name: str, line: int) -> Target | Left:
     given: dict[str, Number | None] = {}
     units: dict[str, str] = {}
     for component, value, unit in (coordinate.items for coordinate in coordinates):
-        known = component.text in (*PLACE, *REMOTE) if configuration else re.fullmatch(r"J[1-9]", component.text)
+        known = component.text in (*COMPONENTS, *REMOTE) if configuration else re.fullmatch(r"J[1-9]", component.text)
         if not known and re.fullmatch(r"E[1-9]", component.text) is None:
-            expected = ", ".join(PLACE) if configuration else "J1, J2, …"
+            expected = ", ".join(COMPONENTS) if configuration else "J1, J2, …"
             raise refusal(f"{name}: expected {expected} or E1, …, found '{component.text}'", component.line)
         if component.text in given:
             raise refusal(f"{name}: {component.text} is given twice", component.line)
@@ -204,7 +201,7 @@ def _group(group: Node, name: str, line: int) -> Target | Left:
         given[component.text] = Number(value.start, value.end, value.text, UNITS[unit.text]) if taught else None
     names, last = [name for name in given if name[0] != "E"], coordinates[-1].line
     remote = names[0] in REMOTE if names else False
-    wanted = list(REMOTE if remote else PLACE) if configuration else [f"J{k}" for k in range(1, len(names) + 1)]
+    wanted = list(REMOTE if remote else COMPONENTS) if configuration else [f"J{k}" for k in range(1, len(names) + 1)]
     if names != wanted:
         raise refusal(f"{name}: expected {', '.join(wanted)} in this order, found {', '.join(names)}", last)
     if configuration and [units[name] for name in names] != ["mm"] * 3 + ["deg"] * 3:
@@ -212,9 +209,9 @@ def _group(group: Node, name: str, line: int) -> Target | Left:
     numbers = [given[name] for name in names]
     taught_numbers = tuple(number for number in numbers if number is not None)
     if len(taught_numbers) < len(numbers):
-        return Left(name, line, "never taught", "was never taught")
+        return Skipped(name, line, "never taught", "was never taught")
     if remote:
-        return Left(name, line, "standing tool", "is of a tool that stands still")
+        return Skipped(name, line, "standing tool", "is of a stationary tool")
     axes = {int(name[1:]): number for name, number in given.items() if name[0] == "E"}
     external = {k: External(float(number.text), units[f"E{k}"]) for k, number in axes.items() if number is not None}
     turn: Turn | None = "xyz" if configuration else None

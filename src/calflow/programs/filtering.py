@@ -23,19 +23,19 @@ from calflow.measurements.measurements import Measurements
 from calflow.programs.aims import UNIT_LENGTH, FilterSettings, all_targets
 from calflow.programs.backup import is_backup, read_files
 from calflow.programs.calibrated_robot import CalibratedRobot
-from calflow.programs.correction import Filtered, filtered, left_row
+from calflow.programs.correction import Filtered, filtered, skipped_row
 from calflow.programs.formats import parsed, read_project
-from calflow.programs.target import Left, Maker
+from calflow.programs.target import Maker, Skipped
 from calflow.robot.robot import Robot
 
 COUPLED = (
-    "joint targets count as the robot file counts its readings: FANUC shows joint 3 against the horizontal, so that joint 2 moves "
-    "it too, and the robot file has no [[couplings]]: joint = 3, source = 2, factor = 1, unless its figures allow for that"
+    "joint targets are taken for readings of the robot file: FANUC shows joint 3 against the horizontal, so joint 2 changes it, "
+    "but the robot file has no [[couplings]] with joint = 3, source = 2, factor = 1; add it unless its figures allow for that"
 )
 
 
 # Each maker's notation of a pose: rotation parameters, factors of lengths and angles to SI, and the order in words.
-WAYS: Mapping[Maker, tuple[Turn, float, float, str]] = {
+NOTATIONS: Mapping[Maker, tuple[Turn, float, float, str]] = {
     "rapid": ("quaternion", 1e-3, 1.0, "x,y,z,q1,q2,q3,q4 in mm"),
     "krl": ("zyx", 1e-3, np.pi / 180, "X,Y,Z,A,B,C in mm and degrees"),
     "fanuc": ("xyz", 1e-3, np.pi / 180, "X,Y,Z,W,P,R in mm and degrees"),
@@ -43,8 +43,8 @@ WAYS: Mapping[Maker, tuple[Turn, float, float, str]] = {
 }
 CONDITIONS = ("time", "temperature")  # one value holds for a whole program
 GO_ON = (
-    "--in-order has approach and travel from the order of the targets, --condition says time_s=… and temperature_degC=…, and a "
-    "program cannot say others; --without-conditions goes on without"
+    "--in-order derives approach and travel from the order of the targets, --condition states time_s=… and temperature_degC=…; "
+    "others cannot be stated for a program; --without-conditions goes on without"
 )
 
 
@@ -79,7 +79,7 @@ def stated_frame(maker: Maker, text: str, key: str) -> np.ndarray:
     Raises:
         InputError: the text is not such a pose.
     """
-    turn, length, angle, way = WAYS[maker]
+    turn, length, angle, notation = NOTATIONS[maker]
     words = [word for word in re.split(r"[\s,;\[\]{}()]+", text) if word]
     try:
         values = np.array([float(word) for word in words])
@@ -87,7 +87,7 @@ def stated_frame(maker: Maker, text: str, key: str) -> np.ndarray:
         values = np.array([np.nan])
     wanted = 7 if turn == "quaternion" else 6
     if len(values) != wanted or not np.isfinite(values).all():
-        raise refuse(f"expected {way}, found '{text.strip()}'", key=key)
+        raise refuse(f"expected {notation}, found '{text.strip()}'", key=key)
     if turn == "quaternion" and abs(np.linalg.norm(values[3:]) - 1) > UNIT_LENGTH:
         raise refuse(f"expected a quaternion of length 1, found one of {np.linalg.norm(values[3:]):.4g}", key=key)
     return pose_matrix(values * np.array([length] * 3 + [angle] * (wanted - 3)), turn)
@@ -124,21 +124,27 @@ def filter_program(
         InputError: the program cannot be read, or a tool, frame, payload or condition is unknown.
     """
     path, robot = Path(program), calibrated.model.robot
-    files, unread = read_files(path), list[tuple[str, Left]]()
+    files, unread = read_files(path), list[tuple[str, Skipped]]()
     if is_backup(path):
         programs, unread = read_project(files, path)
     else:
         programs = [parsed(files[path.name], path)]
     maker = programs[0].maker
     if in_order and sum(bool(program.targets) for program in programs) > 1:
-        raise refuse("the order of targets is that of one program, and here are several", key="--in-order")
+        raise refuse("the order of targets is that of one program, found several", key="--in-order")
     known_tools, tool = stated_frames(maker, tools, "--tool")
     known_frames, frame = stated_frames(maker, frames, "--frame")
     placed = {
         name: stated_frame(maker, text, f"--{name}") for name, text in (("base", base), ("flange", flange)) if text
     }
     choices = FilterSettings(
-        known_tools, known_frames, tool, frame, start=_start(robot, start), loosely=any_configuration, **placed
+        known_tools,
+        known_frames,
+        tool,
+        frame,
+        start=_start(robot, start),
+        any_configuration=any_configuration,
+        **placed,
     )
     stated = _conditions(conditions or {})
     given = (*stated, *(("approach", "travel") if in_order else ()))
@@ -166,14 +172,15 @@ def filter_program(
         )
         raise InputError(problems) from None
     loads = robot.payloads if payload is None else ()
-    empty = [f"no --payload: the robot counts as carrying none of {', '.join(loads)}"] if loads else []
-    shown = maker == "fanuc" and not robot.couplings and any(target.turn is None for _, target in all_targets(programs))
-    rows_unread = tuple(left_row(file, skipped) for file, skipped in unread)
+    empty = [f"no --payload: the robot is taken to carry none of {', '.join(loads)}"] if loads else []
+    coupled = (
+        maker == "fanuc" and not robot.couplings and any(target.turn is None for _, target in all_targets(programs))
+    )
     return replace(
         done,
         files={**files, **done.files},
-        rows=(*rows_unread, *done.rows),
-        notes=(*empty, *([COUPLED] if shown else ()), *done.notes),
+        rows=(*(skipped_row(file, entry) for file, entry in unread), *done.rows),
+        notes=(*empty, *([COUPLED] if coupled else ()), *done.notes),
     )
 
 

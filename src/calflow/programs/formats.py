@@ -12,9 +12,9 @@ from calflow.files.problems import InputError, Problem, refuse
 from calflow.files.units import LARGEST
 from calflow.programs import fanuc_ls, krl, rapid, urscript
 from calflow.programs.statements import link
-from calflow.programs.target import Left, Maker, Program
+from calflow.programs.target import Maker, Program, Skipped
 
-OTHERS = (".dat", ".ls", ".va", ".sys", ".prg")  # suffixes that other kinds of files in a backup have, too
+OTHERS = (".dat", ".ls", ".va", ".sys", ".prg")  # suffixes shared with other kinds of files in a backup
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Format:
 
     def misread(self, problem: Problem, path: Path) -> InputError:
         """Return the error for a file that cannot be read."""
-        return refuse(f"is not {self.name} that calflow understands: {problem.message}", path, problem.line)
+        return refuse(f"is not {self.name} that calflow can parse: {problem.message}", path, problem.line)
 
 
 FORMATS: Mapping[Maker, Format] = {
@@ -54,7 +54,7 @@ def parsed(source: bytes, path: Path) -> Program:
     return programs[0]
 
 
-def read_project(files: Mapping[str, bytes], root: Path) -> tuple[list[Program], list[tuple[str, Left]]]:
+def read_project(files: Mapping[str, bytes], root: Path) -> tuple[list[Program], list[tuple[str, Skipped]]]:
     """Return the programs among the files of a project, and by file why one that looks like a program cannot be read.
 
     root: the project's path, for messages.
@@ -95,7 +95,7 @@ def read_project(files: Mapping[str, bytes], root: Path) -> tuple[list[Program],
             f"holds targets of several tasks ({', '.join(moving)}): give the folder of the one of this robot", root
         )
     unread = [
-        (problem.file.as_posix(), Left(problem.file.name, problem.line or 1, "not read", problem.message))
+        (problem.file.as_posix(), Skipped(problem.file.name, problem.line or 1, "not read", problem.message))
         for problem in wrong
         if problem.file
     ]
@@ -110,13 +110,13 @@ def _task(file: str) -> str:
 def _read(source: bytes, path: Path, file: str) -> tuple[Format, Any]:
     """Return the format of a file and its parsed content; file: its name in the project."""
     if source[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        raise refuse("is UTF-16; save it as text of one byte a character, or as UTF-8", path)
+        raise refuse("is UTF-16; save it in UTF-8 or an 8-bit encoding", path)
     text = source.decode("latin-1")
     named = next((format_ for format_ in FORMATS.values() if path.suffix.lower() in format_.suffixes), None)
     begun = [format_ for format_ in FORMATS.values() if format_.recognised(text)]
     if named and not named.recognised(text):
-        instead = f", but it begins as {begun[0].name} does" if begun else " and does not begin as such"
-        raise refuse(f"is named like {named.name}{instead}", path, 1)
+        instead = f"begins like {begun[0].name}" if begun else "does not begin like it"
+        raise refuse(f"has the suffix of {named.name}, but {instead}", path, 1)
     chosen = named or (begun[0] if len(begun) == 1 else None)
     if chosen is None:
         raise refuse(f"is no robot program that calflow reads: {_known()}", path)

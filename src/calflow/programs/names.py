@@ -1,4 +1,4 @@
-"""Names: symbol tables of a project's files, and the resolution of names across them by scope."""
+"""Names: symbol tables of a project's files, and the scopes in which names are resolved."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from calflow.programs.syntax import Node
 
-SHARED = ""  # the owner of names that are global to a project
+GLOBAL = ""  # the owner of global names
 ALIAS = ""  # the component under which an alias type keeps the type it stands for
 
 
@@ -23,7 +23,7 @@ class Call(NamedTuple):
 
 
 @dataclass
-class Declared:
+class SymbolTable:
     """A file's symbol table: types and assigned values of names, and which names are private to its group.
 
     Files of one group share their private names. The type of a component is kept by the names of its record type and
@@ -36,14 +36,14 @@ class Declared:
     private: set[str] = field(default_factory=set)
     components: dict[str, dict[str, str]] = field(default_factory=lambda: defaultdict(dict))
     parameters: dict[str, list[str]] = field(default_factory=dict)  # of each routine, those that every call passes
-    setting: set[str] = field(default_factory=set)  # routines that set the tool or the frame in force
+    frame_setters: set[str] = field(default_factory=set)  # routines that set the tool or the frame in force
     calls: list[Call] = field(default_factory=list)
 
 
 class Project:
     """The symbol tables of a project: its global names, and those private to a group of files."""
 
-    def __init__(self, files: Iterable[Declared]) -> None:
+    def __init__(self, files: Iterable[SymbolTable]) -> None:
         self.private: dict[str, set[str]] = defaultdict(set)
         self.types: dict[tuple[str, str], str] = {}
         self.values: dict[tuple[str, str], list[Node]] = defaultdict(list)
@@ -53,10 +53,10 @@ class Project:
             self.private[file.group] |= file.private
             self.components |= file.components
         self.several = len(self.private) > 1
-        self.setting = set[str]().union(*(file.setting for file in files))
+        self.frame_setters = set[str]().union(*(file.frame_setters for file in files))
         calls = [call for file in files for call in file.calls]
-        while more := {call.caller for call in calls if call.routine in self.setting} - self.setting:
-            self.setting |= more
+        while more := {call.caller for call in calls if call.routine in self.frame_setters} - self.frame_setters:
+            self.frame_setters |= more
         for file in files:
             scope = Scope(self, file.group)
             self.types |= {(scope.owner(name), name): kind for name, kind in file.types.items()}
@@ -72,16 +72,16 @@ class Scope:
     group: str
 
     def owner(self, name: str) -> str:
-        """Return the group that owns a name, or SHARED."""
-        return self.group if root(name) in self.project.private[self.group] else SHARED
+        """Return the group that owns a name, or GLOBAL."""
+        return self.group if root(name) in self.project.private[self.group] else GLOBAL
 
     def label(self, name: str) -> str:
         """Return a label of a name that is unique in the project."""
-        return f"{name} of {self.group}" if self.project.several and self.owner(name) != SHARED else name
+        return f"{name} of {self.group}" if self.project.several and self.owner(name) != GLOBAL else name
 
     def type_of(self, name: str) -> str:
         """Return the type of a name, or of its component; empty if unknown."""
-        first, *parts = re.sub(r"[{\[][^}\]]*[}\]]", "", name).split(".")
+        first, *parts = without_indices(name).split(".")
         kind = self.resolved(self.project.types.get((self.owner(first), first), ""))
         for part in parts:
             kind = self.resolved(self.project.components.get(kind, {}).get(part, ""))
@@ -106,3 +106,8 @@ class Scope:
 def root(name: str) -> str:
     """Return a name without indices and components."""
     return re.split(r"[{\[.]", name, maxsplit=1)[0]
+
+
+def without_indices(name: str) -> str:
+    """Return a name without indices."""
+    return re.sub(r"[{\[][^}\]]*[}\]]", "", name)

@@ -11,31 +11,31 @@ from calflow.programs.aims import Aim, FilterSettings
 from calflow.programs.calibrated_robot import Axes, CalibratedRobot
 from calflow.programs.target import NEAR_CHANGE, ArmPosture, Reason, Target
 
-# Starts of the inverse kinematics (the second where the first finds no match), and those for targets without flags.
+# Starts of the inverse kinematics (the second if the first finds no match), and those for targets without flags.
 STARTS, STARTS_ALONE = (16, 120), 40
-# Margins at a flag's switching angle, tried in turn, and whether flags must agree that some robots ignore.
+# Margins at a flag's switching angle, tried in sequence, and whether flags that some robots ignore must agree.
 MARGINS = ((0.0, True), (NEAR_CHANGE, True), (NEAR_CHANGE, False))
-CLOSE = np.deg2rad(5.0)  # tolerance of a solution from the readings that a program states as near
+CLOSE = np.deg2rad(5.0)  # largest motion from the readings that a program states as near
 
 
 @dataclass(frozen=True)
-class _Ways:
-    """The admissible solutions (k, n_joints) at a target; note, reason: why there are none, or how one is chosen."""
+class _Solutions:
+    """The admissible solutions (k, n_joints) at a target; note, reason: why there is none, or more than one."""
 
     readings: np.ndarray
     note: str = ""
     reason: Reason = "configuration"
 
 
-def with_meant_readings(aims: list[Aim], corrector: CalibratedRobot, choices: FilterSettings) -> list[Aim]:
+def with_intended_readings(aims: list[Aim], corrector: CalibratedRobot, choices: FilterSettings) -> list[Aim]:
     """Return aims with the readings intended at each pose; with a note, and without readings, where they are ambiguous.
 
     Ambiguities are resolved by the previous target, in the order of the moves of each file.
     """
     place = {aim.file: k for k, aim in reversed([*enumerate(aims)])}
-    came = sorted(range(len(aims)), key=lambda k: (place[aims[k].file], _first_line(aims[k])))
-    resolved = _told_in_turn([aims[k] for k in came], corrector, choices)
-    return [resolved[k] for k in np.argsort(came)]
+    order = sorted(range(len(aims)), key=lambda k: (place[aims[k].file], _first_line(aims[k])))
+    resolved = _resolved([aims[k] for k in order], corrector, choices)
+    return [resolved[k] for k in np.argsort(order)]
 
 
 def _first_line(aim: Aim) -> int:
@@ -43,33 +43,34 @@ def _first_line(aim: Aim) -> int:
     return min((use.line for use in aim.target.uses if use.file == aim.file), default=aim.target.line)
 
 
-def _told_in_turn(aims: list[Aim], corrector: CalibratedRobot, choices: FilterSettings) -> list[Aim]:
+def _resolved(aims: list[Aim], corrector: CalibratedRobot, choices: FilterSettings) -> list[Aim]:
     """Return aims, given in the order of the moves, with the readings intended at each pose."""
     asked = [k for k, aim in enumerate(aims) if aim.readings is None]
     alone = [k for k in asked if (aims[k].target.configuration or aims[k].target.near) is None]
-    ways = _from_near(aims, [k for k in asked if aims[k].target.near], corrector)
+    options = _from_near(aims, [k for k in asked if aims[k].target.near], corrector)
     flagless = set(alone)
     for starts in STARTS:
-        lacking = [k for k in asked if k not in flagless and not (k in ways and len(ways[k].readings))]
-        ways |= _ways(aims, lacking, starts, corrector, choices.loosely)
-    ways |= _ways(aims, alone, STARTS_ALONE, corrector, loosely=True)
-    resolved, before = _in_turn(aims, ways, corrector, choices)
+        unsolved = [k for k in asked if k not in flagless and not (k in options and len(options[k].readings))]
+        options |= _solved(aims, unsolved, starts, corrector, choices.any_configuration)
+    options |= _solved(aims, alone, STARTS_ALONE, corrector, any_configuration=True)
+    resolved, before = _in_sequence(aims, options, corrector, choices)
     # The solution nearest to the previous target may have been missed; adding it changes the choice at later targets.
     while nearer := _nearer(
         aims, {k: readings for k in alone if (readings := before[k]) is not None}, resolved, corrector
     ):
-        ways |= {
-            k: replace(ways[k], readings=np.vstack([ways[k].readings, readings])) for k, readings in nearer.items()
+        options |= {
+            k: replace(options[k], readings=np.vstack([options[k].readings, readings]))
+            for k, readings in nearer.items()
         }
-        resolved, before = _in_turn(aims, ways, corrector, choices)
+        resolved, before = _in_sequence(aims, options, corrector, choices)
     return resolved
 
 
-def _from_near(aims: list[Aim], which: list[int], corrector: CalibratedRobot) -> dict[int, _Ways]:
+def _from_near(aims: list[Aim], which: list[int], corrector: CalibratedRobot) -> dict[int, _Solutions]:
     """Return the solutions at targets reached from the readings that the program states as near."""
     near = [(k, readings) for k in which if (readings := _near(aims[k].target, corrector.axes)) is not None]
     reached = _reached(aims, near, corrector)
-    return {k: _meant(aims[k], readings[None], (), corrector, False) for k, readings in reached}
+    return {k: _intended(aims[k], readings[None], (), corrector, False) for k, readings in reached}
 
 
 def _reached(
@@ -82,25 +83,25 @@ def _reached(
     return [(begun[i][0], readings) for i, readings in zip(of, reached, strict=True)]
 
 
-def _ways(
-    aims: list[Aim], which: list[int], starts: int, corrector: CalibratedRobot, loosely: bool
-) -> dict[int, _Ways]:
+def _solved(
+    aims: list[Aim], which: list[int], starts: int, corrector: CalibratedRobot, any_configuration: bool
+) -> dict[int, _Solutions]:
     """Return the admissible solutions at some targets, from so many starts each."""
     if not which:
         return {}
     near = [_near(aims[k].target, corrector.axes) for k in which]
-    external = np.stack([corrector.axes.at(aims[k].target) for k in which])
+    external = np.stack([corrector.axes.external_readings(aims[k].target) for k in which])
     solutions = corrector.solutions(np.stack([aims[k].flange for k in which]), starts, near, external)
-    stands = iter(corrector.postures(np.concatenate(solutions)))
-    postures = [[next(stands) for _ in solution] for solution in solutions]
+    postures_found = iter(corrector.postures(np.concatenate(solutions)))
+    postures = [[next(postures_found) for _ in solution] for solution in solutions]
     return {
-        k: _meant(aims[k], solution, stand, corrector, loosely or not aims[k].target.flagged)
-        for k, solution, stand in zip(which, solutions, postures, strict=True)
+        k: _intended(aims[k], solution, posture, corrector, any_configuration or not aims[k].target.flagged)
+        for k, solution, posture in zip(which, solutions, postures, strict=True)
     }
 
 
-def _in_turn(
-    aims: list[Aim], ways: Mapping[int, _Ways], corrector: CalibratedRobot, choices: FilterSettings
+def _in_sequence(
+    aims: list[Aim], options: Mapping[int, _Solutions], corrector: CalibratedRobot, choices: FilterSettings
 ) -> tuple[list[Aim], list[np.ndarray | None]]:
     """Return aims with readings chosen in sequence, each by the previous target's, and these previous readings."""
     start = last = None if choices.start is None else np.array(choices.start)
@@ -110,7 +111,7 @@ def _in_turn(
             last = start
         axes = corrector.axes
         before.append(None if last is None else axes.readings(aim.target, last[list(axes.arm)]))
-        resolved.append(_chosen(aim, ways[k], before[-1]) if k in ways else aim)
+        resolved.append(_chosen(aim, options[k], before[-1]) if k in options else aim)
         readings = resolved[-1].readings
         last = readings if readings is not None else before[-1]
     return resolved, before
@@ -123,11 +124,11 @@ def _nearer(
     return {
         k: reading
         for k, reading in _reached(aims, [*before.items()], corrector)
-        if np.abs(reading - before[k]).max() < _off(resolved[k], before[k]) - CLOSE
+        if np.abs(reading - before[k]).max() < _joint_motion(resolved[k], before[k]) - CLOSE
     }
 
 
-def _off(aim: Aim, before: np.ndarray) -> float:
+def _joint_motion(aim: Aim, before: np.ndarray) -> float:
     """Return the largest joint motion from previous readings to the aim's; infinite if the aim has none."""
     return np.inf if aim.readings is None else float(np.abs(aim.readings - before).max())
 
@@ -137,47 +138,47 @@ def _near(target: Target, axes: Axes) -> np.ndarray | None:
     return None if target.near is None else axes.readings(target, target.near)
 
 
-def _meant(
-    aim: Aim, solutions: np.ndarray, postures: Sequence[ArmPosture], corrector: CalibratedRobot, loosely: bool
-) -> _Ways:
+def _intended(
+    aim: Aim, solutions: np.ndarray, postures: Sequence[ArmPosture], corrector: CalibratedRobot, any_configuration: bool
+) -> _Solutions:
     """Return the solutions that agree with the target's configuration flags, or with the readings stated as near it."""
     none = solutions[:0]
     if not len(solutions):
-        return _Ways(none, "the nominal robot does not get there within its joint limits", "out of reach")
+        return _Solutions(none, "the nominal robot does not reach it within its joint limits", "out of reach")
     near = _near(aim.target, corrector.axes)
     if near is not None:
-        close = _nearest(corrector.axes.turned_to(solutions, near), near)
+        close = _nearest(corrector.axes.turned_near(solutions, near), near)
         off = np.abs(close - near).max()
-        apart = f"the readings said to be near it are {np.rad2deg(off):.3g}° away from the nearest that lead there"
-        return _Ways(close[None]) if off < CLOSE else _Ways(none, apart)
+        apart = f"the readings stated near it are {np.rad2deg(off):.3g}° from the nearest solution"
+        return _Solutions(close[None]) if off < CLOSE else _Solutions(none, apart)
     configuration = aim.target.configuration
     if configuration is None:
-        several = f"no configuration tells which of {len(solutions)} joint positions is meant"
-        return _Ways(solutions, "" if len(solutions) == 1 else several)
-    # Solutions within half a turn take precedence over those a turn further.
-    for ways in (solutions, corrector.axes.turned(solutions)):
-        postures = postures if ways is solutions else corrector.postures(ways)
+        several = f"no configuration selects one of {len(solutions)} solutions"
+        return _Solutions(solutions, "" if len(solutions) == 1 else several)
+    # Solutions within half a turn precede those a turn further.
+    for options in (solutions, corrector.axes.with_turns(solutions)):
+        postures = postures if options is solutions else corrector.postures(options)
         for margin, strictly in MARGINS:
-            fitting = ways[[configuration.agrees(posture, margin, strictly) for posture in postures]]
+            fitting = options[[configuration.agrees(posture, margin, strictly) for posture in postures]]
             if len(fitting):
-                several = f"{len(fitting)} joint positions have its configuration"
-                return _Ways(fitting, "" if len(fitting) == 1 else several)
-    reason = "no joint readings of the nominal robot that lead there have its configuration"
-    if loosely:
-        return _Ways(solutions, reason)
-    return _Ways(none, f"{reason}; --any-configuration takes the nearest to the target before")
+                several = f"{len(fitting)} solutions have its configuration"
+                return _Solutions(fitting, "" if len(fitting) == 1 else several)
+    reason = "no solution of the nominal robot has its configuration"
+    if any_configuration:
+        return _Solutions(solutions, reason)
+    return _Solutions(none, f"{reason}; --any-configuration takes the one nearest to the target before")
 
 
-def _chosen(aim: Aim, ways: _Ways, before: np.ndarray | None) -> Aim:
+def _chosen(aim: Aim, options: _Solutions, before: np.ndarray | None) -> Aim:
     """Return an aim with its readings, or with a note why they are ambiguous."""
-    if not len(ways.readings):
-        return replace(aim, note=ways.note, reason=ways.reason)
-    if not ways.note:
-        return replace(aim, readings=ways.readings[0])
+    if not len(options.readings):
+        return replace(aim, note=options.note, reason=options.reason)
+    if not options.note:
+        return replace(aim, readings=options.readings[0])
     if before is None:
-        return replace(aim, note=f"{ways.note}: state readings near it (--start)")
-    note = f"{ways.note}: taken as the one nearest to the target before"
-    return replace(aim, readings=_nearest(ways.readings, before), note=note)
+        return replace(aim, note=f"{options.note}: state readings near it (--start)")
+    note = f"{options.note}: taken as the one nearest to the target before"
+    return replace(aim, readings=_nearest(options.readings, before), note=note)
 
 
 def following(aims: list[Aim], leading: Sequence[Aim], corrector: CalibratedRobot) -> list[Aim]:
@@ -185,7 +186,7 @@ def following(aims: list[Aim], leading: Sequence[Aim], corrector: CalibratedRobo
     lead = {aim.key: aim.readings for aim in leading}
     before = [(k, readings) for k, aim in enumerate(aims) if (readings := lead[aim.key]) is not None]
     by_number = dict(_reached(aims, before, corrector))
-    missed = "the nominal robot does not get there from the target that it is computed from"
+    missed = "the nominal robot does not reach it from the target that it is computed from"
     return [
         replace(aims[k], readings=by_number[k])
         if k in by_number

@@ -1,7 +1,7 @@
-"""Statements: what the languages of robot programs have in common, and what is gathered on the way through a program.
+"""Statements: the analysis of a program's statements, common to all languages.
 
-A file is read for what it declares; what its statements do is looked at later, when the names of all files of the project are
-known.
+Reading a file collects its declarations and defers the effects of its statements until the symbol tables of all files
+of the project are known.
 """
 
 from __future__ import annotations
@@ -19,72 +19,72 @@ import numpy as np
 
 from calflow.deployment.conventions import NOWHERE
 from calflow.files.problems import InputError, Problem
-from calflow.programs.names import SHARED, Declared, Project, Scope, root
+from calflow.programs.names import GLOBAL, Project, Scope, SymbolTable, root, without_indices
 from calflow.programs.syntax import Grammar, Node
-from calflow.programs.target import Computed, Declaration, Left, Maker, Program, Reason, Target, Use
+from calflow.programs.target import Computed, Declaration, Maker, Program, Reason, Skipped, Target, Use
 
-STANDING = "standing"  # a tool beside the robot, which has the work piece
-UNSTATED = "is gone to, and its numbers do not stand in this file"
-DEEPEST_NAME = 20  # names that stand for names
-OF_ROUTINE = "@"  # between a name that a routine has for itself and the routine
-FOLLOWED = ("name", "call", "operation")  # values that may be other targets, or composed of such
+STATIONARY = "standing"  # a stationary tool beside the robot, which holds the workpiece
+UNDECLARED = "is the target of a move, and its numbers do not stand in this file"
+DEEPEST_NAME = 20  # nesting depth of names whose value is a name
+LOCAL_MARK = "@"  # between a local name and its routine
+INDIRECT = ("name", "call", "operation")  # kinds of values that may refer to targets
 
 
 @dataclass(frozen=True, eq=False)
-class Place:
-    """Where a move goes: before @ origin @ after, of the name or the numbers of a target; None where by how much is not known."""
+class Destination:
+    """A destination of moves, before @ origin @ after; origin: a target's name or numbers; None: unknown transforms."""
 
     origin: Node
     before: np.ndarray | None = field(default_factory=lambda: NOWHERE)
     after: np.ndarray | None = field(default_factory=lambda: NOWHERE)
 
-    def moved(self, before: np.ndarray | None, after: np.ndarray | None) -> Place:
-        """Return the place further from its origin."""
+    def transformed(self, before: np.ndarray | None, after: np.ndarray | None) -> Destination:
+        """Return the destination between two further transforms."""
         if before is None or after is None or self.before is None or self.after is None:
-            return Place(self.origin, None, None)
-        return Place(self.origin, _product(before, self.before), _product(self.after, after))
+            return Destination(self.origin, None, None)
+        return Destination(self.origin, _product(before, self.before), _product(self.after, after))
 
 
 def _product(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Two transforms in turn, of which one that leads nowhere stays known as such."""
+    """Return the product of two transforms; NOWHERE, the identity, keeps its identity as an object."""
     return second if first is NOWHERE else first if second is NOWHERE else first @ second
 
 
 @dataclass
 class Statements(ABC):
-    """What is gathered on the way through a program; now has the tool and the frame in force, where the language has such."""
+    """The targets and moves of a file; active: the tool and frame in force, in languages that set them by statements."""
 
     maker: ClassVar[Maker]
-    sign: ClassVar[str] = "="  # between a name and its value
-    remark: ClassVar[str]  # what begins a remark
-    counted: ClassVar[tuple[str, ...]] = ()  # types of numbers, which are changed without an assignment
-    flange: ClassVar[str]  # how the tool is called that is none, and the frame
-    base: ClassVar[str]
+    sign: ClassVar[str] = "="  # of assignment
+    remark: ClassVar[str]  # the comment mark
+    number_types: ClassVar[tuple[str, ...]] = ()  # types whose variables may change without an assignment
+    flange: ClassVar[str]  # name of the tool at the flange
+    base: ClassVar[str]  # name of the frame at the base
     grammar: ClassVar[Grammar]
 
     source: bytes
     file: str
-    declared: Declared = field(init=False)
+    symbols: SymbolTable = field(init=False)
     scope: Scope = field(init=False)
-    literals: list[Node] = field(default_factory=list)  # what has the shape of a target in expressions
+    literals: list[Node] = field(default_factory=list)  # expressions with the shape of a target
     actions: list[Callable[[], None]] = field(default_factory=list)
     targets: list[Target] = field(default_factory=list)
-    optional: dict[int, Left] = field(default_factory=dict)
-    taught: dict[int, Use] = field(default_factory=dict)  # with what a target is gone to where its moves do not say
-    left: list[Left] = field(default_factory=list)
+    if_unused: dict[int, Skipped] = field(default_factory=dict)  # by byte position, as is defaults
+    defaults: dict[int, Use] = field(default_factory=dict)  # tool and frame of moves that state none
+    skipped: list[Skipped] = field(default_factory=list)
     uses: dict[tuple[str, str], list[Use]] = field(default_factory=dict)
-    gone_to: dict[str, Left] = field(default_factory=dict)
-    now: Use = field(default_factory=Use)
+    undeclared: dict[str, Skipped] = field(default_factory=dict)
+    active: Use = field(default_factory=Use)
 
     def __post_init__(self) -> None:
-        self.declared = Declared(self.group)
+        self.symbols = SymbolTable(self.group)
 
     @classmethod
     def of(cls, source: bytes, file: str) -> Self:
         """Read a file of the language.
 
         Raises:
-            InputError: it is not the language as this reads it, with the line.
+            InputError: it cannot be parsed, with the line.
         """
         statements = cls(source, file)
         statements.read(cls.grammar.tree(source.decode("latin-1")))
@@ -92,21 +92,21 @@ class Statements(ABC):
 
     @property
     def group(self) -> str:
-        """What files are called that see each other's private names."""
+        """Name of the group of files that share their private names."""
         return self.file
 
     def read(self, node: Node) -> None:
-        """Read a node of the tree: as the method says that is called after its rule, or else all that it is made of."""
+        """Read a node by the method named after its rule, or else its children."""
         getattr(self, f"read_{node.kind}", self.read_items)(node)
 
     def read_items(self, node: Node) -> None:
-        """Read all that a node is made of."""
+        """Read the children of a node."""
         for item in node.items:
             if item is not None:
                 self.read(item)
 
     def read_branches(self, node: Node) -> None:
-        """Read a statement with blocks, one of which is gone through."""
+        """Read a statement with alternative blocks."""
         bodies = list[list[Callable[[], None]]]()
         outside = self.actions
         for item in node.items:
@@ -116,184 +116,176 @@ class Statements(ABC):
                 if item.kind == "block":
                     bodies.append(self.actions)
         self.actions = outside
-        self.later(self.branch, bodies)
+        self.defer(self.run_branches, bodies)
 
-    def assigned(self, node: Node) -> str:
-        """Read a value and the name that it is given to, and return this without its components."""
+    def add_assignment(self, node: Node) -> str:
+        """Record an assignment, and return the name assigned to, without its components."""
         self.read_items(node)
         to, value = node.items
         whole, _, component = self.key(to.text).partition(".")
         fixed = all(item.kind == "number" for item in to.items)
-        self.declared.values[whole if fixed else root(whole)].append(
+        self.symbols.values[whole if fixed else root(whole)].append(
             value._replace(kind="computed") if component else value
         )
         return whole
 
     @staticmethod
     def folded(name: str) -> str:
-        """Return a name as the language compares it."""
+        """Return a name in the language's canonical case."""
         return name
 
     def key(self, name: str) -> str:
-        """Return what a name is known by: spelled otherwise, the same; a place of an array that a variable says is as all."""
+        """Return the key of a name in symbol tables; for an array element with a variable index, the array's."""
         indexed = re.findall(r"[{\[]([^}\]]*)[}\]]", name)
         every = all(re.fullmatch(r"[\d,]*", index) for index in indexed)
         return self.folded(name if every else without_indices(name))
 
     @abstractmethod
     def is_literal(self, value: Node) -> bool:
-        """Return whether a value in a move has the shape of a target."""
+        """Return whether a value in a move is a literal target."""
 
     @abstractmethod
-    def target(self, name: str, value: Node) -> Target | Left:
-        """Return the target that a value in a move states, or why it is left alone."""
+    def target(self, name: str, value: Node) -> Target | Skipped:
+        """Return the target of a literal in a move, or why it is skipped."""
 
     @abstractmethod
-    def composed(self, value: Node, depth: int) -> Place | None:
-        """Return the place that a call or an operation makes of a target; None where that is not known."""
+    def composed(self, value: Node, depth: int) -> Destination | None:
+        """Return the destination that a call or operation computes from a target; None if unknown."""
 
-    def place(self, value: Node, depth: int = 0) -> Place | None:
-        """Return the place that an expression means: a target's by its name or its numbers, or what is composed of one."""
+    def destination(self, value: Node, depth: int = 0) -> Destination | None:
+        """Return the destination that an expression denotes: a target, or a pose computed from one; None if unknown."""
         if self.is_literal(value):
-            return Place(value)
+            return Destination(value)
         if value.kind == "name":
             fixed = depth < DEEPEST_NAME and self.key(value.text) == self.folded(value.text)
             given = self.scope.value(self.key(value.text)) if fixed else None
-            follows = given is not None and given.kind in FOLLOWED
-            return (self.place(given, depth + 1) if given is not None and follows else None) or Place(value)
+            follows = given is not None and given.kind in INDIRECT
+            return (self.destination(given, depth + 1) if given is not None and follows else None) or Destination(value)
         if value.kind == "operation" and not value.text:
-            return self.place(value.items[0], depth + 1)
+            return self.destination(value.items[0], depth + 1)
         return self.composed(value, depth + 1)
 
     @abstractmethod
     def frames(self) -> Iterator[tuple[str, str, np.ndarray | None]]:
-        """Yield of each tool and frame that the file states which of both it is, its name, and where it is (4, 4), if known."""
+        """Yield "tool" or "frame", name and pose (4, 4), None if unknown, of the tools and frames that the file defines."""
 
-    def with_names_of(self, routine: str, names: Collection[str], node: Node) -> Node:
-        """Return a routine's tree in which names that it has for itself are others than those of any other."""
+    def with_local_names(self, routine: str, names: Collection[str], node: Node) -> Node:
+        """Return a routine's tree with its local names made unique in the project."""
         if not names:
             return node
-        items = tuple(item and self.with_names_of(routine, names, item) for item in node.items)
+        items = tuple(item and self.with_local_names(routine, names, item) for item in node.items)
         first = root(node.text)
         if node.kind not in ("name", "token") or self.folded(first) not in names:
             return node._replace(items=items)
-        return node._replace(text=f"{first}{OF_ROUTINE}{routine}{node.text[len(first) :]}", items=items)
+        return node._replace(text=f"{first}{LOCAL_MARK}{routine}{node.text[len(first) :]}", items=items)
 
-    def meant(self, name: str, depth: int = 0) -> str:
-        """Return by what a name is known that stands for another, wherever the project gives it one, or by what it is itself."""
+    def resolved_name(self, name: str, depth: int = 0) -> str:
+        """Return the key of a name, or of the name that is its value."""
         value = self.scope.value(self.key(name)) if depth < DEEPEST_NAME else None
-        return self.key(name) if value is None or value.kind != "name" else self.meant(value.text, depth + 1)
+        return self.key(name) if value is None or value.kind != "name" else self.resolved_name(value.text, depth + 1)
 
-    def sees(self, other: Statements, value: Node) -> bool:
-        """Return whether a value in another file means the same in this one: it is made of names that both share."""
-        if self.declared.group == other.declared.group:
+    def means_same(self, other: Statements, value: Node) -> bool:
+        """Return whether a value in another file means the same in this one: all its names are global."""
+        if self.symbols.group == other.symbols.group:
             return True
         owners = {
             f.scope.owner(f.key(node.text)) for f in (self, other) for node in value.walk() if node.kind == "name"
         }
-        return value.kind in FOLLOWED and owners == {SHARED}
+        return value.kind in INDIRECT and owners == {GLOBAL}
 
-    def later(self, action: Callable[..., None], *arguments: object) -> None:
-        """Keep what a statement does for when the names of all files are known."""
+    def defer(self, action: Callable[..., None], *arguments: object) -> None:
+        """Defer an effect of a statement until the names of all files are known."""
         self.actions.append(partial(action, *arguments))
 
-    def branch(self, bodies: Sequence[Sequence[Callable[[], None]]]) -> None:
-        """Do what the branches of a statement do: each begins with the tool and the frame before it.
-
-        After it those are in force that all branches end with, where it changes none.
-        """
-        before, after = self.now, list[Use]()
+    def run_branches(self, bodies: Sequence[Sequence[Callable[[], None]]]) -> None:
+        """Run alternative branches, each from the tool and frame before them; what any branch changes is then unknown."""
+        before, after = self.active, list[Use]()
         for actions in bodies:
-            self.now = before
+            self.active = before
             for action in actions:
                 action()
-            after.append(self.now)
-        self.now = Use(
+            after.append(self.active)
+        self.active = Use(
             before.tool if all(state.tool == before.tool for state in after) else None,
             before.frame if all(state.frame == before.frame for state in after) else None,
         )
 
-    def enter(self, use: Use) -> None:
-        """Have a tool and a frame in force."""
-        self.now = use
+    def activate(self, use: Use) -> None:
+        """Set the active tool and frame."""
+        self.active = use
 
-    def leave(self, name: str, line: int, reason: Reason, note: str) -> None:
-        """Keep why something is left alone."""
-        self.left.append(Left(name, line, reason, note))
+    def skip(self, name: str, line: int, reason: Reason, note: str) -> None:
+        """Record why a target or statement is skipped."""
+        self.skipped.append(Skipped(name, line, reason, note))
 
-    def take(
-        self, found: Target | Left, *uses: Use, taught: Use | None = None, unless_used: Left | None = None,
+    def add_target(
+        self, found: Target | Skipped, *uses: Use, defaults: Use | None = None, if_unused: Skipped | None = None,
         declared: Declaration | None = None,
     ) -> None:  # fmt: skip
-        """Keep a target, with its uses where they are known, or why it is left alone.
+        """Record a target with its known uses, or why it is skipped.
 
-        taught has tool and frame of moves that do not say theirs. unless_used is kept in the place of a target to which no move
-        goes.
+        defaults: tool and frame of moves that state none; if_unused: recorded instead of a target without moves.
         """
-        if isinstance(found, Left):
-            self.left.append(found)
+        if isinstance(found, Skipped):
+            self.skipped.append(found)
             return
         self.targets.append(replace(found, uses=uses, declared=declared))
         start = found.numbers[0].start
-        self.taught |= {start: taught} if taught else {}
-        self.optional |= {start: unless_used} if unless_used else {}
+        self.defaults |= {start: defaults} if defaults else {}
+        self.if_unused |= {start: if_unused} if if_unused else {}
 
-    def declared_as(
+    def declaration(
         self, start: int, head: str, name: str, value: Node, end: int, tail: str = ""
     ) -> Declaration | None:
-        """Return how a name with a value is declared, of which the bytes [start, end) are; None where it has other values."""
-        key = self.key(name)
-        if self.scope.value(key) is not value:
+        """Return the declaration in the bytes [start, end) of a name with a value; None if it has other values."""
+        if self.scope.value(self.key(name)) is not value:
             return None
         return Declaration(start, end, head, self.sign, (value.start, value.end), tail, self.remark)
 
-    def alternatives(self, place: Place) -> tuple[list[Place], bool]:
-        """Return the places of other targets that the name of one is given, one here and another there; and whether that is all."""
-        origin = place.origin
+    def alternatives(self, goal: Destination) -> tuple[list[Destination], bool]:
+        """Return the destinations assigned to the name of a destination, and whether these are all its values."""
+        origin = goal.origin
         values = self.scope.values(self.key(origin.text)) if origin.kind == "name" else []
-        given = [self.place(value) if value.kind in FOLLOWED else None for value in values]
-        others = [other.moved(place.before, place.after) for other in given if other]
+        given = [self.destination(value) if value.kind in INDIRECT else None for value in values]
+        others = [other.transformed(goal.before, goal.after) for other in given if other]
         return others, 0 < len(values) == len(others)
 
-    def go_to(
-        self, place: Place | None, value: Node, name: str, line: int, use: Use, passed: frozenset[str] = frozenset()
+    def add_move(
+        self, goal: Destination | None, value: Node, name: str, line: int, use: Use, via: frozenset[str] = frozenset()
     ) -> None:
-        """Keep that a move goes to a place, which a value says, of which messages say a name and a line.
-
-        passed has the names by which it came to the place.
-        """
-        origin = place.origin if place else value
-        if place is None or origin.text in passed:
-            self.leave(name, line, "computed", "goes to a place that is computed")
+        """Record a move to the destination of a value; name, line: for messages; via: names resolved so far."""
+        origin = goal.origin if goal else value
+        if goal is None or origin.text in via:
+            self.skip(name, line, "computed", "goes to a computed pose")
             return
-        others, complete = self.alternatives(place)
+        others, complete = self.alternatives(goal)
         for other in others:
-            self.go_to(other, value, name, line, use, passed | {origin.text})
+            self.add_move(other, value, name, line, use, via | {origin.text})
         if complete:
             return
         label = self.scope.label
         tool, frame = use.tool and label(use.tool), use.frame and label(use.frame)
         use = replace(use, tool=tool, frame=frame, file=self.file, line=line)
-        if place.before is None or place.after is None:
+        if goal.before is None or goal.after is None:
             shared = f"is computed from {_as_written(origin.text) or 'a target'}, whose correction it shares"
-            self.leave(name, line, "shared", shared)
-        elif place.before is not NOWHERE or place.after is not NOWHERE:
-            use = replace(use, computed=Computed(_as_written(name), place.before, place.after))
+            self.skip(name, line, "shared", shared)
+        elif goal.before is not NOWHERE or goal.after is not NOWHERE:
+            use = replace(use, computed=Computed(_as_written(name), goal.before, goal.after))
         if origin.kind == "name":
             key = self.key(origin.text)
             written = key == self.folded(origin.text) and any(node is origin for node in value.walk())
             use = replace(use, span=(origin.start, origin.end) if written else None)
             self.uses.setdefault((self.scope.owner(key), key), []).append(use)
-            self.gone_to.setdefault(key, Left(origin.text, line, "elsewhere", UNSTATED))
+            self.undeclared.setdefault(key, Skipped(origin.text, line, "elsewhere", UNDECLARED))
         else:
-            self.take(self.target(name, origin), use)
+            self.add_target(self.target(name, origin), use)
 
     def number(self, value: Node, depth: int = 0) -> float | None:
-        """Return the number that an expression is, of numbers and constants; None where that is not known."""
+        """Return the value of an expression of numbers and constants; None if unknown."""
         if value.kind == "number":
             try:
                 return float(value.text)
-            except ValueError:  # a hexadecimal one
+            except ValueError:  # hexadecimal
                 return None
         if value.kind == "name" and depth < DEEPEST_NAME:
             resolved = self.scope.value(self.key(value.text))
@@ -318,76 +310,71 @@ class Statements(ABC):
         return total + sign * product
 
     def linked(self, used: Mapping[tuple[str, str], Sequence[Use]], known: Collection[tuple[str, str]]) -> Program:
-        """Return all that was found, each target with its uses in all files, and what is left with why."""
-        targets, left = [], list(self.left)
+        """Return the program: targets with their uses in all files, and what is skipped and why."""
+        targets, skipped = [], list(self.skipped)
         keys = Counter(self.key(target.name) for target in self.targets)
         for target in self.targets:
             key, start = self.key(target.name), target.numbers[0].start
             owner = self.scope.owner(key)
             moves = [use for name in dict.fromkeys((key, without_indices(key))) for use in used.get((owner, name), ())]
             uses = (*target.uses, *moves) if target.turn else ()
-            if taught := self.taught.get(start) if target.turn else None:
+            if default := self.defaults.get(start) if target.turn else None:
                 uses = tuple(
-                    replace(use, tool=use.tool or taught.tool, frame=use.frame or taught.frame)
-                    for use in uses or (taught,)
+                    replace(use, tool=use.tool or default.tool, frame=use.frame or default.frame)
+                    for use in uses or (default,)
                 )
-            if any(use.tool == STANDING for use in uses):
-                left.append(Left(target.name, target.line, "standing tool", "is of a tool that stands still"))
-            elif (unused := self.optional.get(start)) and not moves:
-                left.append(unused)
+            if any(use.tool == STATIONARY for use in uses):
+                skipped.append(Skipped(target.name, target.line, "standing tool", "is of a stationary tool"))
+            elif (unused := self.if_unused.get(start)) and not moves:
+                skipped.append(unused)
             else:
                 declared = target.declared if keys[key] == 1 else None
                 targets.append(replace(target, uses=uses, declared=declared))
-        left += [gone for name, gone in self.gone_to.items() if (self.scope.owner(name), name) not in known]
+        skipped += [entry for name, entry in self.undeclared.items() if (self.scope.owner(name), name) not in known]
         places = {number.start for target in self.targets for number in target.numbers}
-        lines = {skipped.line for skipped in left}
-        where = "stands in an expression: where it leads is not known"
-        left += [
-            Left(f"target in line {literal.line}", literal.line, "computed", where)
+        lines = {entry.line for entry in skipped}
+        where = "stands in an expression: its pose is unknown"
+        skipped += [
+            Skipped(f"target in line {literal.line}", literal.line, "computed", where)
             for literal in self.literals
             if literal.line not in lines
             and not any(part.start in places for part in literal.walk() if part.kind == "number")
         ]
         targets.sort(key=lambda target: target.numbers[0].start)
-        left.sort(key=lambda skipped: skipped.line)
+        skipped.sort(key=lambda entry: entry.line)
         written = tuple(replace(target, name=_as_written(target.name)) for target in targets)
-        unread = tuple(replace(skipped, name=_as_written(skipped.name)) for skipped in left)
+        unread = tuple(replace(entry, name=_as_written(entry.name)) for entry in skipped)
         return Program(self.maker, self.source, written, unread, file=self.file)
 
 
 def _as_written(name: str) -> str:
-    """Return a name as the program has it."""
-    return re.sub(rf"{OF_ROUTINE}\w+", "", name)
+    """Return a name as written in the program."""
+    return re.sub(rf"{LOCAL_MARK}\w+", "", name)
 
 
-def without_indices(name: str) -> str:
-    """Return the name of an array's place without its indices."""
-    return re.sub(r"[{\[][^}\]]*[}\]]", "", name)
-
-
-def _pass_on(files: Sequence[Statements]) -> None:
-    """Take what calls give to routines for values of their parameters, as far as it means the same there."""
+def _bind_arguments(files: Sequence[Statements]) -> None:
+    """Assign the arguments of calls to the parameters of routines; those of private names count as computed."""
     routines: dict[str, list[Statements]] = defaultdict(list)
     for file in files:
-        for routine in file.declared.parameters:
+        for routine in file.symbols.parameters:
             routines[routine].append(file)
     for caller in files:
-        for call in caller.declared.calls:
+        for call in caller.symbols.calls:
             for file in routines.get(call.routine, ()):
-                for parameter, argument in zip(file.declared.parameters[call.routine], call.arguments, strict=False):
-                    if file.scope.type_of(parameter) not in file.counted:
-                        value = argument if file.sees(caller, argument) else argument._replace(kind="computed")
+                for parameter, argument in zip(file.symbols.parameters[call.routine], call.arguments, strict=False):
+                    if file.scope.type_of(parameter) not in file.number_types:
+                        value = argument if file.means_same(caller, argument) else argument._replace(kind="computed")
                         file.scope.project.values[file.scope.owner(parameter), parameter].append(value)
 
 
 def link(files: Sequence[Statements]) -> tuple[list[Program], list[Problem]]:
-    """Return the programs of a project, whose names mean the same in all files, and what is wrong with files that are none."""
-    project = Project(file.declared for file in files)
+    """Return the programs of a project, names resolved across files, and the problems of files that are none."""
+    project = Project(file.symbols for file in files)
     tools = {file.flange: NOWHERE for file in files}
     frames = {file.base: NOWHERE for file in files}
     for file in files:
-        file.scope = Scope(project, file.declared.group)
-    _pass_on(files)
+        file.scope = Scope(project, file.symbols.group)
+    _bind_arguments(files)
     used: dict[tuple[str, str], list[Use]] = {}
     known: set[tuple[str, str]] = set()
     fine, wrong = list[Statements](), list[Problem]()
@@ -404,6 +391,6 @@ def link(files: Sequence[Statements]) -> tuple[list[Program], list[Problem]]:
                 (tools if what == "tool" else frames)[name] = matrix
         for key, uses in file.uses.items():
             used.setdefault(key, []).extend(uses)
-        keys = [*(file.key(target.name) for target in file.targets), *(file.key(skipped.name) for skipped in file.left)]
+        keys = [*(file.key(target.name) for target in file.targets), *(file.key(entry.name) for entry in file.skipped)]
         known |= {(file.scope.owner(key), name) for key in keys for name in (key, without_indices(key))}
     return [replace(file.linked(used, known), tools=tools, frames=frames) for file in fine], wrong

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 LONGEST_SHOWN = 20  # characters of a program's own text that a message shows
 MOST_EXPECTED = 6  # tokens that a message names
-DEEPEST = 60  # nesting depth of brackets: no program has more, and Python's recursion ends at a thousand
+DEEPEST = 60  # nesting depth of brackets, below Python's limit of recursion
 NUMBER = re.compile(r"[-+.\dEe]+")
 MEANINGS = {"NAME": "a name", "NUMBER": "a number", "STRING": "a text", "_NL": "the end of the line", "$END": "the end of the file",
             "QUOTED": "a configuration in quotes"}  # fmt: skip
@@ -96,7 +96,7 @@ def branch(kind: str, text: str, first: Any, last: Any, items: Sequence[Any]) ->
     """
     depth = 1 + max((item.depth for item in items if item is not None), default=0)
     if depth > DEEPEST:
-        raise refusal(f"more than {DEEPEST} brackets within each other", first.line)
+        raise refusal(f"more than {DEEPEST} nested brackets", first.line)
     start = first.start if isinstance(first, Node) else first.start_pos
     end = last.end if isinstance(last, Node) else last.end_pos
     return Node(kind, text, start, end, first.line, tuple(items), depth)
@@ -113,10 +113,10 @@ class TreeBuilder:
         if rule.startswith("_"):
             return SimpleNamespace(children=children)
         items = [child if child is None or isinstance(child, Node) else leaf(child) for child in children]
-        there = [item for item in items if item is not None]
-        return (
-            branch(str(rule), "", there[0], there[-1], items) if there else Node(str(rule), "", 0, 0, 0, tuple(items))
-        )
+        present = [item for item in items if item is not None]
+        if not present:
+            return Node(str(rule), "", 0, 0, 0, tuple(items))
+        return branch(str(rule), "", present[0], present[-1], items)
 
     def number(self, children: Sequence[Any]) -> Node:
         """A number."""

@@ -18,7 +18,7 @@ from calflow.deployment.conventions import Turn, pose_matrix
 
 NEAR_CHANGE = np.deg2rad(0.5)  # distance from a flag's switching angle within which both values are accepted
 KRL_BITS = {"S": 3, "T": 6}  # number of bits with a known meaning
-UNASKED: tuple[Reason, ...] = ("tool or frame", "no move")  # reasons of what no move of the program goes to
+UNASKED: tuple[Reason, ...] = ("tool or frame", "no move")  # reasons of entries that no move uses
 
 
 @dataclass(frozen=True)
@@ -284,8 +284,8 @@ Reason = Literal[
 
 
 @dataclass(frozen=True)
-class Left:
-    """A target or statement of a program that is left as it is, or whose effect is unknown, and why."""
+class Skipped:
+    """A target or statement of a program that stays uncorrected, or whose effect is unknown, and why."""
 
     name: str
     line: int
@@ -295,16 +295,16 @@ class Left:
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """A parsed program: its bytes, its targets in the order of the file, and the statements left alone.
+    """A parsed program: its bytes, its targets in the order of the file, and what is skipped.
 
-    tools, frames: poses (4, 4) by name, in SI, from all files of its project, without names that none defines; file:
+    tools, frames: poses (4, 4) by name, in SI, from all files of its project; file:
     its name in the project.
     """
 
     maker: Maker
     source: bytes
     targets: tuple[Target, ...]
-    left: tuple[Left, ...] = ()
+    skipped: tuple[Skipped, ...] = ()
     tools: Mapping[str, np.ndarray] = field(default_factory=dict)
     frames: Mapping[str, np.ndarray] = field(default_factory=dict)
     file: str = ""
