@@ -60,9 +60,8 @@ def test_sums_are_those_of_the_whole_matrix(both):
     for one, other in zip(vars(held.products).values(), vars(remade.products).values(), strict=True):
         assert_allclose(other, one, rtol=1e-8, atol=1e-9 * np.abs(one).max(initial=0.0))
     some, rng = np.arange(0, held.matrix.shape[1], 5), np.random.default_rng(1)
-    values, amplitudes = rng.standard_normal((len(held.residual), 3)), rng.standard_normal((held.matrix.shape[1], 2))
+    amplitudes = rng.standard_normal((held.matrix.shape[1], 2))
     for ask in (
-        lambda matrix: matrix.across(values),
         lambda matrix: matrix.products(some),
         lambda matrix: matrix.response(some),
         lambda matrix: matrix.times(amplitudes),
@@ -83,7 +82,7 @@ def test_a_look_takes_less_memory_than_the_matrix(linearised, monkeypatch):
     monkeypatch.setattr(module, "HELD", 0)
     remade = linearised(False, ()).matrix  # of all causes
     tracemalloc.start()
-    remade.across(np.ones((remade.shape[0], 1)))
+    remade.times(np.ones((remade.shape[1], 1)))
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 8 * np.prod(remade.shape) / 1.8

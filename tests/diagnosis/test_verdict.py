@@ -26,18 +26,7 @@ def score(cost, name, joint=0, **variant):
     cause = Cause(ROBOT, effect, part)
     n = len(cause.declared)
     return Score(
-        Candidate(cause, np.arange(n)),
-        -cost,
-        0.1,
-        float(n),
-        1e-9,
-        cost,
-        1.0,
-        np.zeros(n),
-        np.eye(n),
-        np.eye(n),
-        n,
-        200.0,
+        Candidate(cause, np.arange(n)), -cost, 0.1, 1e-9, cost, 1.0, np.zeros(n), np.eye(n), np.eye(n), n, 200.0
     )
 
 
@@ -169,7 +158,6 @@ def test_a_family_is_named_where_all_rivals_are_of_it(rivals, family):
                 Candidate(cause, np.arange(2)),
                 47.0,
                 0.1,
-                2.0,
                 1e-9,
                 own.cost,
                 1.0,

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import kstest
 
 from calflow.estimation.fit import fit, fit_reweighted
-from calflow.estimation.lack_of_fit import lack_of_fit
+from calflow.estimation.lack_of_fit import Evidence, LackOfFit, lack_of_fit
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import PerUnit, averaged, measured_noise
 from calflow.files.problems import InputError
@@ -25,6 +25,13 @@ def model():
     return build(industrial(), ("geometry",))
 
 
+def lack_of(error: np.ndarray, sigma: np.ndarray, determined: float) -> LackOfFit:
+    """The lack of fit of errors of stated noise, each a pose of its own."""
+    rows, nothing = np.arange(len(error)), np.zeros(len(error))
+    evidence = Evidence(rows, nothing + 1, nothing, nothing, nothing > 0, 0 * rows)
+    return lack_of_fit(error, sigma, determined, rows, evidence)
+
+
 def test_repeats_give_the_devices_noise(model):
     """Fails if the spread between poses, or held-out rows, leak into the noise."""
     rng = np.random.default_rng(8)
@@ -32,7 +39,7 @@ def test_repeats_give_the_devices_noise(model):
     data.table.loc[data.table["pose"] > 30, "split"] = "holdout"
     data.table.loc[data.table["pose"] > 30, "x"] += rng.normal(scale=1e-3, size=(data.table["pose"] > 30).sum())
     level = measured_noise(data)
-    assert level.source == "repeats"
+    assert level.sources == ("repeats",)
     assert level.sigma[0] == pytest.approx(SIGMA, rel=0.12)
 
 
@@ -40,9 +47,9 @@ def test_without_repeats_the_file_is_believed_and_else_the_fit(model):
     """Fails if the order of the sources changes."""
     rng = np.random.default_rng(9)
     data = measured(model, model.nominal, 20, rng)
-    assert measured_noise(data).source == "estimated"
+    assert measured_noise(data).sources == ("estimated",)
     data.table["sigma"] = 2e-5
-    assert measured_noise(data).source == "file"
+    assert measured_noise(data).sources == ("file",)
 
 
 def test_p_values_of_a_true_model_are_uniform(model):
@@ -54,7 +61,7 @@ def test_p_values_of_a_true_model_are_uniform(model):
         means, level = averaged(data, stated(data))
         result, _ = fit(LeastSquares.of(model, means, level))
         error = model.position(result.estimate, means.conditions) - means.position
-        p.append(lack_of_fit(error.ravel(), np.repeat(level.sigma, 3), result.effective_parameters).p)
+        p.append(lack_of(error.ravel(), np.repeat(level.sigma, 3), result.effective_parameters).p)
     assert kstest(p, "uniform").pvalue > 1e-3
 
 
@@ -70,7 +77,7 @@ def test_the_discrepancy_of_a_model_is_found(model):
     for _ in range(3):
         result, _ = fit(LeastSquares.of(model, means, level))
         error = model.position(result.estimate, means.conditions) - means.position
-        lack = lack_of_fit(error.ravel(), np.repeat(level.sigma, 3), result.effective_parameters)
+        lack = lack_of(error.ravel(), np.repeat(level.sigma, 3), result.effective_parameters)
         level = replace(level, discrepancy=PerUnit().having(METRE, lack.discrepancy))
     assert lack.p < 1e-6
     assert lack.discrepancy == pytest.approx(1e-4, rel=0.15)

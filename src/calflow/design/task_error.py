@@ -236,7 +236,6 @@ class TaskError:
     the lacking effect of each draw.
     """
 
-    measure: Measure
     every: np.ndarray
     lacking: np.ndarray
     left: tuple[str, ...]
@@ -348,9 +347,7 @@ def task_error(
         off - ((off.reshape(TASK_DRAWS, -1) @ taught) @ taught.T).reshape(off.shape) for off in (error, lacking)
     )
     measured = _MEASURES[measure]
-    return TaskError(
-        measure, measured(error + lacking), measured(lacking), tuple(lacks.every[k].form.name for k in lack)
-    )
+    return TaskError(measured(error + lacking), measured(lacking), tuple(lacks.every[k].form.name for k in lack))
 
 
 def _beside_noise(

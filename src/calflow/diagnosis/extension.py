@@ -259,14 +259,13 @@ def weighed_against(extension: Extended, catalogue: Catalogue) -> Extended:
 
 @dataclass(frozen=True)
 class CarriedOver:
-    """The gain of a cause at left-out blocks of training poses: in chi², and in the largest error.
+    """The gain of a cause at left-out blocks of training poses.
 
-    gain: reduction of chi², summed over the blocks of each kind; largest: mean over blocks of the log ratio of the largest error
-    without the cause to that with it; p: one-sided p-value of that mean being below zero.
+    gain: reduction of chi², summed over the blocks of each kind; p: one-sided p-value that the largest errors of blocks grow with
+    the cause, by the mean of the log ratios of those without it to those with it.
     """
 
     gain: tuple[float, ...]
-    largest: float
     p: float
 
     @property
@@ -350,7 +349,7 @@ def carried_over(fitted: Fitted, cause: Cause, kinds: Sequence[BlocksLeftOut]) -
         ratios += [np.log(np.abs(a).max() / np.abs(b).max()) for a, b in pairs]
     mean, spread = float(np.mean(ratios)), float(np.std(ratios, ddof=1)) / np.sqrt(len(ratios))
     p = float(scipy.stats.t.cdf(mean / spread, len(ratios) - 1)) if spread > 0 else 1.0
-    return CarriedOver(tuple(gains), mean, p)
+    return CarriedOver(tuple(gains), p)
 
 
 Variants = dict[tuple[str, str], int]

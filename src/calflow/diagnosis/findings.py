@@ -185,11 +185,6 @@ class Finding:
         return self.gain_mean, self.gain_low, self.gain_high
 
     @property
-    def left(self) -> float:
-        """Mean error at held-out poses with it [error_unit]."""
-        return self.heldout_mean_mm if self.error_unit == METRE.label else self.heldout_mean
-
-    @property
     def of_family(self) -> bool:
         """Whether its family is certain but not the member: an error of one joint's angle, say, whose order is not resolved."""
         return cause_family(self.cause) in SMOOTH_IN and self.status == "one_of" and (bool(self.kin) or not self.rivals)

@@ -172,10 +172,6 @@ class TallMatrix:
         """Yield the indices of a block of rows, and these rows; each row once."""
         raise NotImplementedError
 
-    def across(self, values: np.ndarray) -> np.ndarray:
-        """Return the transpose times values (n, …)."""
-        return reduce(np.add, (x.T @ values[rows] for rows, x in self.blocks()))
-
     def products(self, columns: np.ndarray) -> np.ndarray:
         """Return the Gram matrix of some columns, (n_own, n_own)."""
         parts = (x[:, columns] for _, x in self.blocks())
@@ -311,10 +307,10 @@ class Regressors(Generic[H]):
     """The whitened regressors of all candidates, with the residual and Jacobian of the model.
 
     residual (n,), jacobian (n, n_free), precision (n_free,): the fit's, with its priors; pull (n_free,): the priors' part of the
-    gradient; matrix (n, n_columns): regressors, with prior_sd (n_columns,); scale: factor by which the candidates' priors were
-    widened; correlation: background by which all are whitened (None: independent errors); amplitude_freedom (n_columns,):
-    degrees of freedom of the variance of each column's amplitude, where the correlation does not determine them; posed: share of
-    the residuals that remains if at most six per pose count; added_up: the products, where they follow from others.
+    gradient; matrix (n, n_columns): regressors, with prior_sd (n_columns,); correlation: background by which all are whitened
+    (None: independent errors); amplitude_freedom (n_columns,): degrees of freedom of the variance of each column's amplitude, where
+    the correlation does not determine them; posed: share of the residuals that remains if at most six per pose count; added_up: the
+    products, where they follow from others.
     """
 
     residual: np.ndarray
@@ -325,7 +321,6 @@ class Regressors(Generic[H]):
     matrix: TallMatrix
     prior_sd: np.ndarray
     candidates: tuple[Candidate[H], ...]
-    scale: float = 1.0
     correlation: ErrorCorrelation | None = None
     amplitude_freedom: np.ndarray | None = None
     posed: float = 1.0
@@ -376,7 +371,6 @@ class Regressors(Generic[H]):
             matrix,
             large.prior_sd[n:] * scale,
             candidates_of(effects),
-            scale,
             correlation,
             posed=float(np.minimum(residuals_a_pose, POSE_FREEDOM).sum() / residuals_a_pose.sum()),
         )

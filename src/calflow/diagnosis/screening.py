@@ -77,7 +77,7 @@ class Catalogue:
 class Score(Generic[H]):
     """The score test of one candidate, without a refit.
 
-    drop: reduction of chi²; share: its share of chi²; degrees_of_freedom: effective number of parameters; p: p-value of this test
+    drop: reduction of chi²; share: its share of chi²; p: p-value of this test
     alone; cost: minus twice the log evidence, negative where the candidate is favoured; visible_share: share of the effect that the
     model's parameters cannot imitate; estimate, covariance: of its parameters; information: S; shown: number of its directions
     that the data show; left: degrees of freedom of the denominator.
@@ -86,7 +86,6 @@ class Score(Generic[H]):
     candidate: Candidate[H]
     drop: float
     share: float
-    degrees_of_freedom: float
     p: float
     cost: float
     visible_share: float
@@ -312,11 +311,6 @@ class Screening(Generic[H]):
         """Log-determinant of the model's information over its priors': the parameters' Occam factor, minus twice its log."""
         return float(2 * np.log(self._factor.diagonal()).sum() - np.log(self.regressors.precision).sum())
 
-    @property
-    def level(self) -> float:
-        """Chi² per degree of freedom."""
-        return self.chi2 / self.degrees_of_freedom
-
     @cached_property
     def amplitude_freedom(self) -> np.ndarray:
         """Degrees of freedom of the variance of each column's amplitude; the number of residuals where they are independent."""
@@ -362,9 +356,8 @@ class Screening(Generic[H]):
             weighed = self._weighed(block, self.score[block.columns, None], np.array([self.chi2]))
             p = self._p(weighed.squared[:, 0], self.chi2, block.degrees_of_freedom, self.degrees_of_freedom, left)
             drops, cost = weighed.drops[:, 0], weighed.cost[:, 0]
-            spent = (block.value / (block.value + 1)).sum(axis=1)
             scores += [
-                Score(self.regressors.candidates[member], float(drops[k]), float(drops[k] / self.chi2), float(spent[k]),
+                Score(self.regressors.candidates[member], float(drops[k]), float(drops[k] / self.chi2),
                       float(p[k]), float(cost[k]), float(block.share[k]), weighed.estimate[k, :, 0], weighed.covariance[k],
                       block.information[k], int(block.degrees_of_freedom[k]), float(left[k]))
                 for k, member in enumerate(block.members)

@@ -97,11 +97,6 @@ class Fit:
         """Effective number of parameters that the data determine: the sum over parameters of 1 - prior share."""
         return float(np.trace(self.covariance @ (self.information - np.diag(self.model.prior_sd**-2.0))))
 
-    @property
-    def reduced_chi2(self) -> float:
-        """Chi² per degree of freedom; 1 where the noise explains the residuals."""
-        return float((self.residual**2).sum() / max(1.0, self.residual.size - self.effective_parameters))
-
     def _inverse(self, free: np.ndarray) -> np.ndarray:
         """Inverse of the free parameters' information, zero elsewhere; scaled by the priors to stay well-conditioned."""
         sd = self.model.prior_sd[free]

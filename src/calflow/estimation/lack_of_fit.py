@@ -68,29 +68,17 @@ class Evidence:
             self, squared=np.where(rows, self.squared, 0.0), freedom=np.where(rows, self.freedom, 0.0), doubted=self.doubted & rows
         )  # fmt: skip
 
-    @staticmethod
-    def stated(n: int) -> Evidence:
-        """Return the evidence of n rows with stated noise, each a pose of its own."""
-        return Evidence(np.arange(n), np.ones(n), np.zeros(n), np.zeros(n), np.zeros(n, dtype=bool), np.zeros(n, int))
-
 
 def lack_of_fit(
-    error: np.ndarray,
-    sigma: np.ndarray,
-    determined: float,
-    rows: np.ndarray | None = None,
-    evidence: Evidence | None = None,
-    trimmed: bool = False,
+    error: np.ndarray, sigma: np.ndarray, determined: float, rows: np.ndarray, evidence: Evidence, trimmed: bool = False
 ) -> LackOfFit:
     """Test errors (n,) against their noise (n,); determined is the number of parameters fitted to them.
 
-    The discrepancy is the standard deviation that, added in quadrature to the noise, makes chi² equal to its degrees of
-    freedom; zero where the noise explains the errors (p above 1 %). rows (n,) are the errors' rows in the evidence; without it
-    the noise is taken as stated, each row a pose. After a robust fit errors are trimmed, as outliers are not a discrepancy.
+    The discrepancy is the standard deviation that, added in quadrature to the noise, makes chi² equal to its degrees of freedom;
+    zero where the noise explains the errors (p above 1 %). rows (n,) are the errors' rows in the evidence. After a robust fit
+    errors are trimmed, as outliers are not a discrepancy.
     """
-    rows = np.arange(error.size) if rows is None else rows
-    known_noise = Evidence.stated(int(rows.max()) + 1) if evidence is None else evidence
-    reduced, p = _tested((error / sigma) ** 2, determined / error.size, rows, known_noise)
+    reduced, p = _tested((error / sigma) ** 2, determined / error.size, rows, evidence)
     if trimmed:
         size = np.abs(error) / sigma
         scale = max(1.0, float(np.median(size)) / NORMAL_MEDIAN)

@@ -231,11 +231,6 @@ class Extrapolation:
     joint: int = column("its number")
     rows: int = column("number of held-out rows beyond the fitted range")
 
-    @property
-    def words(self) -> str:
-        """The extrapolation in words."""
-        return f"joint {self.joint}: {self.rows} held-out rows lie beyond the readings that were fitted"
-
 
 @dataclass(frozen=True, kw_only=True)
 class IdentifySummary(FitSummary):

@@ -171,11 +171,6 @@ class PerUnit:
         """Return a copy with the size of one unit replaced."""
         return PerUnit(tuple((dict(self.sizes) | {unit: size}).items()))
 
-    @property
-    def any(self) -> bool:
-        """Whether any size is above zero."""
-        return any(size > 0 for _, size in self.sizes)
-
 
 NO_DISCREPANCY = PerUnit()
 
@@ -207,11 +202,6 @@ class Noise:
     def known(self) -> bool:
         """Whether the noise of any series is known independently of the fit, so that a lack of fit can be told from noise."""
         return any(source != "estimated" for source in self.sources)
-
-    @property
-    def source(self) -> str:
-        """Origin of the noise, one word per distinct source."""
-        return ";".join(dict.fromkeys(self.sources))
 
     def of_series(self, k: int) -> np.ndarray:
         """Mask of the rows of a series, shape (n_rows,)."""

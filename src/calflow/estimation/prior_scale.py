@@ -20,7 +20,6 @@ SCALES = 2.0 ** np.arange(-5, 1.5, 0.5)  # factors of the prior standard deviati
 class AtScale:
     """The posterior mean (n,) and covariance (n, n) of the parameters with priors on one scale, and that scale's probability."""
 
-    scale: float
     probability: float
     mean: np.ndarray
     covariance: np.ndarray
@@ -67,6 +66,5 @@ def by_scale(
         scales.append((np.where(free, mean + moved, estimate), whole))
     weight = np.exp(np.array(evidence) - max(evidence))
     return tuple(
-        AtScale(float(scale), float(share), *posterior)
-        for scale, share, posterior in zip(SCALES, weight / weight.sum(), scales, strict=True)
+        AtScale(float(share), *posterior) for share, posterior in zip(weight / weight.sum(), scales, strict=True)
     )
