@@ -489,7 +489,7 @@ def test_held_out_poses_that_contradict_what_new_ones_let_expect_are_told_beside
     fitted = replace(SUMMARY, new_poses_mm=0.398, new_poses_limit_mm=0.458, sigma_mm=0.622)
     assert new_poses_words(fitted, 2.24).endswith("held-out poses are off by 2.24 mm: do not rely on it.")
     for held_out in (0.0, 0.4, 1.3):
-        assert new_poses_words(fitted, held_out).startswith("off by 0.398 mm (with 95 % certainty at most 0.458 mm)")
+        assert new_poses_words(fitted, held_out).startswith("0.398 mm (with 95 % certainty at most 0.458 mm)")
 
 
 def test_headline_says_where_the_error_was_measured() -> None:

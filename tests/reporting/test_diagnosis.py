@@ -108,7 +108,7 @@ def test_what_cannot_be_told_apart_is_said_with_what_would_tell(small: Context) 
     """Fails if a name that is not sure is told as if it were, or without a way out."""
     first, section = told(with_diagnosis(small, OR_HYSTERESIS, poses=0))
     assert "1. Backlash of joint 2 or hysteresis of joint 2" in section
-    assert "Its name is less sure: hysteresis of joint 2 explains these data as well" in section
+    assert "Its name is not certain: hysteresis of joint 2 explains these data as well" in section
     assert "No pose tells backlash from hysteresis in these data: log each joint's travel." in section
     assert "Which is the cause: backlash of joint 2 or hysteresis of joint 2." in first
     assert "Is it backlash of joint 2 or hysteresis of joint 2? Log each joint's travel." in first
@@ -271,7 +271,7 @@ def test_what_could_not_be_tested_is_listed_by_what_it_needs(small: Context) -> 
 def test_how_small_a_cause_the_data_show_is_told_by_joint(small: Context) -> None:
     """Fails if limits are not told, in another unit than the heading's, or as powers of ten."""
     _, section = told(with_diagnosis(small))
-    below = section.partition("How small a cause these data show")[2]
+    below = section.partition("Detection limits")[2]
     row = next(line for line in below.splitlines() if "Gear ratio error" in line)
     assert all(f'[#"{cell}";]' in row for cell in ("µrad/rad", "120", "250", "370"))
 
@@ -396,11 +396,11 @@ def test_sureness_is_told_for_each_status(small: Context) -> None:
         RunOutcome(with_diagnosis(small, found).results).findings[0] for found in (BACKLASH, OR_HYSTERESIS, ORDER_OPEN)
     ]
     assert "Nothing else" in name_certainty(one[0])
-    assert "Its name is less sure" in name_certainty(one[1])
-    assert "its exact form is not. Periodic error and angle error curve would do" in name_certainty(one[2])
+    assert "Its name is not certain" in name_certainty(one[1])
+    assert "its exact form. Periodic error and angle error curve would fit" in name_certainty(one[2])
     coarse = RunOutcome(with_diagnosis(small, replace(ORDER_OPEN, rivals="")).results).findings[0]
     assert coarse.name == "transmission error of joint 2"
-    assert "would do as well" not in name_certainty(coarse)
+    assert "would fit as well" not in name_certainty(coarse)
     assert unsure(RunOutcome(with_diagnosis(small, BACKLASH).results)) == []
 
 

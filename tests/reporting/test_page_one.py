@@ -153,7 +153,7 @@ def test_who_measured_what_when_stands_on_every_page(small: Context, tmp_path: P
 @pytest.mark.parametrize(
     ("within", "so_few", "told"),
     [
-        (60, 1.0, "hold for 95 %."),
+        (60, 1.0, "95 % limits."),
         (54, 0.077, "That may be chance."),
         (51, 0.026, "That is few"),
         (44, 1e-4, "too narrow."),

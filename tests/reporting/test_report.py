@@ -336,7 +336,7 @@ def test_certainty_is_told_with_the_models_own_error_and_with_what_is_left(small
     assert f"Measured there: {judged.mean():.3f} mm on average" in certainty_words(off, True)
     elsewhere = Alternative(less_sure.model, less_sure.estimate + 3 * np.sqrt(np.diag(less_sure.covariance)), 0.4)
     rivalled = Certainty.of(replace(less_sure, alternatives=(elsewhere,)), material.data, left)
-    assert "That includes the model's own error, and the choice among causes that do as well." in certainty_words(
+    assert "That includes the model's own error, and the choice among causes that fit as well." in certainty_words(
         rivalled, True
     )
     assert rivalled.prediction_sd_mm > off.prediction_sd_mm
@@ -347,7 +347,7 @@ def test_flagged_rows_are_listed_by_their_line(small: Context, text: str) -> Non
     flagged = source_of(changed(small, "identify/residuals.csv", flagged=np.arange(len(rows)) == 7))
     assert f"Check 1 row of the measurement file (line {rows['line'][7]})" in flagged
     assert "Rows that do not fit" in flagged
-    assert "No single row stands out" in text
+    assert "No single row is an outlier" in text
 
 
 def test_the_largest_error_stands_first_among_flagged_rows(small: Context) -> None:
@@ -374,7 +374,7 @@ def test_what_a_plan_tells_apart_is_drawn_and_said(small: Context):
     table = to_frame(rows, IsolabilityCell)
     given = replace(small, results=small.results | Results({"select/isolability.csv": table}))
     told = source_of(given)
-    assert "Of 3 causes 2 would be seen, and 1 of these distinguished from all others." in told
+    assert "Of 3 causes 2 would be detected, and 1 of these distinguished from all others." in told
     assert f"P{gap[1:]}." in told
     assert "nothing tried" not in told.replace("what nothing tried fills", "")
     assert any(item.sentence == f"P{gap[1:]}." for item in advice(RunOutcome(given.results)))

@@ -38,7 +38,7 @@ def test_a_study_without_measurements_gets_a_report_of_its_plan(planned):
     said = text(planned)
     how_many = json.loads((planned / "runs" / "select" / "how_many.json").read_text(encoding="utf-8"))
     for words in (
-        "Measurement plan", "8 poses make the tool's position certain to", "the 5.00 mm asked for are met", "Not worked out:",
+        "Measurement plan", "8 poses make the tool's position certain to", "the tolerance of 5.00 mm is met", "Not computed:",
         f"the curve bends at {how_many['knee_poses']} poses", "Every pose measured twice", "The order of the poses",
         "What to do next", "What one more thing is worth", "Appendix: the run",
     ):  # fmt: skip

@@ -207,7 +207,7 @@ def test_what_the_plan_tells_apart_is_said_where_it_is_asked_for(small):
     assert worst["cause"].isin(["joint-backlash"]).any()
     assert table["chance"].between(0, 1).all()
     assert (table["enough"] == (table["chance"] >= 0.9)).all()
-    assert "would be seen" in said
+    assert "would be detected" in said
     assert any(words in said for words in worst["words"])
 
 

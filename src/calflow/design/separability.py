@@ -368,11 +368,11 @@ def _untold(cause: Cause, catalogue: Catalogue, tested: Mapping[Place, Cause]) -
 
 
 def isolability_summary(table: pd.DataFrame) -> str:
-    """Say how many causes are seen, and how many of these are told from all others."""
+    """Return how many causes are detected, and how many of these are distinguished from all others."""
     tested = table[table["part"].fillna("") != ""]
     seen = int(tested.loc[tested["rival"].fillna("") == "", "enough"].sum())
     separable = tested.groupby(["cause", "part"])["enough"].all()
-    return f"of {len(separable)} causes {seen} would be seen, and {int(separable.sum())} of these distinguished from all others"
+    return f"of {len(separable)} causes {seen} would be detected, and {int(separable.sum())} of these distinguished from all others"
 
 
 def isolability_gaps(table: pd.DataFrame) -> list[str]:

@@ -227,7 +227,7 @@ def does_not_carry_over(outcome: RunOutcome) -> list[Advice]:
     fitted, unseen, unit = train[-1].figures[0], held[-1].figures[0], rows[0].unit
     sentence = (
         f"The error at held-out poses is {ratio(unseen / fitted)} times that at fitted ones ({mm(unseen)} {unit} "
-        f"against {mm(fitted)} {unit}). Measure as many poses again, spread over the space where the robot works."
+        f"against {mm(fitted)} {unit}). Measure as many further poses, spread over the space where the robot works."
     )
     return advise(2, sentence, where=unseen > WORSE * fitted, poses=outcome.summary.training_poses)
 
@@ -379,7 +379,7 @@ def look_at_missed_poses(outcome: RunOutcome) -> list[Advice]:
     names, lines = [pose.pose for pose in by_line], [pose.line for pose in by_line]
     where = f"{plural_word(lines, 'line')} {listed(lines, 4)} of the file"
     which = f"{first_up(plural_word(names, 'pose'))} {listed(names, 4)} ({where})"
-    off = f"{mm(missed[0].error)} {unit}, where {mm(missed[0].limit)} {unit} {'is' if len(missed) == 1 else 'or less is'} promised"
+    off = f"{mm(missed[0].error)} {unit}, with a {percent(PROMISED)} limit of {mm(missed[0].limit)} {unit}"
     does = "is off by" if len(missed) == 1 else "are off by up to"
     again = "it" if len(missed) == 1 else "them"
     sentence = (
@@ -495,7 +495,7 @@ def too_narrow(outcome: RunOutcome) -> list[Advice]:
     """Limits exceeded by significantly more held-out errors than predicted are too narrow."""
     certainty = outcome.certainty
     sentence = (
-        f"Only {certainty.within} of {certainty.tested} held-out errors are below what is promised for {percent(PROMISED)}: the "
+        f"Only {certainty.within} of {certainty.tested} held-out errors are within their {percent(PROMISED)} limits: the "
         "standard deviations are too small. Something varies that the model or the fitted poses lack."
     )
     return advise(2, sentence, where=certainty.within_chance <= SURPRISE)

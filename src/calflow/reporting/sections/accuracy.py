@@ -1,4 +1,4 @@
-"""Accuracy: the errors of each model, advice on a poor fit, and the gain by a correction that is not physical."""
+"""Accuracy: the errors of each model, their sources and limits, and the gain by a correction that is not physical."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from calflow.reporting.sections.verdict import named_steps, pose_errors
 from calflow.reporting.style import ACCENT, DARK, figure
 
 NOISE_DRAWS = 200_000
-CHOICE = ", and the choice among causes that do as well"
+CHOICE = ", and the choice among causes that fit as well"
 CONTRADICTED = 2  # ratio of held-out errors to the expected ones above which they contradict each other
 MOST_STEPS = 5000  # of a cumulative curve: more are finer than a line
 SPREAD = "Errors of the calibrated model: the share of rows with a smaller one. "
@@ -37,7 +37,7 @@ BUDGET = (
     "Error budget: what each step of the model, and each cause in turn, takes off the mean error, and what is left."
 )
 HELD_OUT = {"train": "poses used for the fit", "holdout": "held-out poses"}
-PROMISE = f"Errors of held-out poses and the limits that {percent(PROMISED)} of such errors are promised to keep."
+LIMITS = f"Errors of held-out poses and the limits below which {percent(PROMISED)} of such errors are predicted."
 DISTANCE = "Distance between predicted and measured tool position"
 HELD_OUT_POSES = "The held-out poses were not used for the fit: they show how accurate the model is at new poses."
 DEVICE = " Page one's error before leaves out what the measuring device was found to add; those of the nominal robot here do not."
@@ -130,7 +130,7 @@ def _promised(material: Material) -> list[Block]:
     if not len(tested):
         return []
     limits = tested.loc[tested.groupby("pose")["error"].idxmax()].set_index("pose")["limit"]
-    return [replace(pose_errors(material, limits), caption=PROMISE, width=51)]
+    return [replace(pose_errors(material, limits), caption=LIMITS, width=51)]
 
 
 def other_figures(material: Material) -> list[tuple[str, str]]:
@@ -145,7 +145,9 @@ def other_figures(material: Material) -> list[tuple[str, str]]:
     if summary.new_poses_mm is not None:
         last = material.judged_steps[-1]
         held_out = last.figures[1] if certainty.split == "holdout" and last.unit == METRE.label else 0.0
-        sentences.append(("RMS error expected at new poses like the fitted ones:", new_poses_words(summary, held_out)))
+        of_what = "" if material.is_of_positions else ", of what is measured"
+        name = f"RMS error expected at new poses like the fitted ones{of_what}:"
+        sentences.append((name, new_poses_words(summary, held_out)))
     return sentences
 
 
@@ -153,9 +155,13 @@ def new_poses_words(summary: FitSummary, held_out: float) -> str:
     """Return words on the expected error at new poses, or on held-out errors [mm] (rms) that contradict it."""
     noise = math.sqrt(3) * (summary.sigma_mm or 0.0)
     if held_out > math.hypot(noise, CONTRADICTED * (summary.new_poses_limit_mm or math.inf)):
-        return f"the fit promises {summary.at_new_poses}, but held-out poses are off by {mm(held_out)} mm: do not rely on it."
-    counted = "without the noise" if summary.noise_known else "beside an error like that left by the fit, noise or not"
-    return f"off by {summary.at_new_poses}, {counted}."
+        return f"the fit predicts {summary.at_new_poses}, but held-out poses are off by {mm(held_out)} mm: do not rely on it."
+    counted = (
+        "without the noise"
+        if summary.noise_known
+        else "in addition to an error like that left by the fit, noise or not"
+    )
+    return f"{summary.at_new_poses}, {counted}."
 
 
 def certainty_words(certainty: Certainty, noise_known: bool) -> str:

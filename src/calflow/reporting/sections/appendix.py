@@ -1,4 +1,4 @@
-"""The appendix: the facts of the run, of what was asked and how identify and diagnose ended."""
+"""Appendix: inputs, settings and versions of the run, and how the fits of identify and diagnose ended."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ from calflow.reporting.section import Section
 PACKAGES = ("calflow", "casadi", "emcee", "numpy", "scipy", "pandas")
 
 
-def _told(value: object) -> str:
-    """Return a value of a summary, or of a stage's settings, in a line."""
+def _in_a_line(value: object) -> str:
+    """Return a setting's value in one line."""
     if value is None:
         return "–"
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, dict):
-        return f"{{{', '.join(f'{name} = {_told(inner)}' for name, inner in value.items())}}}"
+        return f"{{{', '.join(f'{name} = {_in_a_line(inner)}' for name, inner in value.items())}}}"
     if isinstance(value, list):
-        return f"[{', '.join(map(_told, value))}]"
+        return f"[{', '.join(map(_in_a_line, value))}]"
     if isinstance(value, tuple):
-        return "; ".join(dict.fromkeys(map(_told, value)))
+        return "; ".join(dict.fromkeys(map(_in_a_line, value)))
     return f"{value:.4g}" if isinstance(value, float) else getattr(value, "words", str(value))
 
 
 def _appendix(material: Material) -> list[Block]:
-    """Tabulate what was asked, what was used and how it ended."""
+    """Tabulate the request, the versions used and the outcome."""
     robot, request = material.robot, material.request
     facts: list[tuple[str, str] | str] = [
-        "asked",
+        "request",
         ("study", request.name),
         ("robot", f"{robot.name}: {robot.n_joints} joints, {robot.kinematics}"),
         ("effects", ", ".join(effect_words(effect) for effect in request.effects)),
@@ -39,12 +39,16 @@ def _appendix(material: Material) -> list[Block]:
         ("workflow", f"{material.workflow}: {', '.join(material.settings)}"),
         ("seed", str(request.seed)),
         ("versions", ", ".join(f"{name} {version(name)}" for name in PACKAGES)),
-        *((f"settings of {stage}", _told(settings)[1:-1]) for stage, settings in material.settings.items() if settings),
+        *(
+            (f"settings of {stage}", _in_a_line(settings)[1:-1])
+            for stage, settings in material.settings.items()
+            if settings
+        ),
         *_identified(material),
     ]
     return [
         Paragraph("manifest.json has the hashes of all input files, and when and how each stage ended; each stage's summary.json "
-                  "has more. All tables lie beside this report as CSV, in SI units unless a column says otherwise.", keep=True),
+                  "has more. All tables are in the run folder as CSV, in SI units unless a column's name has another.", keep=True),
         Table(("what", "value"), facts, "ll", size=None, wide=1, halved=True),
     ]  # fmt: skip
 
@@ -55,7 +59,7 @@ def _identified(material: Material) -> list[tuple[str, str] | str]:
     summary = material.summary
     starts = f"{summary.starts_agreeing} of {summary.starts} agree"
     return [
-        "found",
+        "outcome",
         ("noise", material.certainty.noise),
         ("starting points", starts),
         ("fit of identify", summary.solver.words),
@@ -80,7 +84,7 @@ def _placement(material: Material) -> list[tuple[str, str]]:
         ]
         turn = [f"{axis} {number(getattr(placed, f'{axis}_deg'), '.3f')} deg" for axis in ("rx", "ry", "rz")]
         place_words = ", ".join(place + turn * (placed.what == "base"))
-        facts.append(("nominal place", f"{placed.what}: {place_words} ({placed.source})"))
+        facts.append(("nominal pose", f"{placed.what}: {place_words} ({placed.source})"))
     return facts
 
 

@@ -33,8 +33,8 @@ EVIDENCE = (
     "false alarm is likelier than {percent} %."
 )
 LIMITS = (
-    "The size at which a cause would be found 95 times in 100, at each joint or link, against the scatter that the study's "
-    "model leaves. Anything smaller may go unseen."
+    "Detection limits: the size at which a cause would be found in 95 of 100 cases, at each joint or link, given the scatter that "
+    "the study's model leaves."
 )
 IMITATED = "the model's own parameters imitate"
 STATUS = {"named": "named", "one_of": "one of several", "unexplained": "not explained"}
@@ -77,7 +77,7 @@ def went(material: Material, causes: Sequence[Finding]) -> list[Block]:
     data = pd.DataFrame({"cause": names, "evidence": told, "chance_of_a_false_alarm": p, "in_the_model": added})
     words = EVIDENCE.format(percent=f"{100 * threshold(material):.2g}")
     drawn = evidence(names, told, [chance_figure(chance) for chance in p], added)
-    return [Heading("How the search went"), Plot("evidence", drawn, words, data)]
+    return [Heading("Evidence of the candidates"), Plot("evidence", drawn, words, data)]
 
 
 def limits(rows: Sequence[CandidateRow]) -> list[Block]:
@@ -97,7 +97,7 @@ def limits(rows: Sequence[CandidateRow]) -> list[Block]:
         lines.append((first_up(cause_words(cause).name), unit_shown, *cells))
     header = ("cause", "unit", *map(str, numbers), "whole robot")
     return [
-        Heading("How small a cause these data show"),
+        Heading("Detection limits"),
         Paragraph(LIMITS, keep=True),
         Table(header, sorted(lines), "ll" + "r" * (len(numbers) + 1), size=8, wide=0),
     ]
@@ -272,9 +272,9 @@ def name_certainty(finding: Finding) -> str:
     sentences = []
     if finding.of_family:
         kin = first_up(listed([cause_words(name).name for name in finding.kin]))
-        sure = "That it depends on the joint's angle is certain; its exact form is not."
-        sentences.append(sure if finding.joint else "That it depends on time is certain; its course is not.")
-        sentences += [f"{kin} would do as well."] if finding.kin else []
+        on = "the joint's angle" if finding.joint else "time"
+        sentences.append(f"The data show that it depends on {on}, but do not determine its exact form.")
+        sentences += [f"{kin} would fit as well."] if finding.kin else []
     if finding.others:
         named = [other for other in finding.others if other.cause != UNEXPLAINED]
         tested = [other.name for other in named if other.cause not in finding.not_tested]
@@ -284,7 +284,7 @@ def name_certainty(finding: Finding) -> str:
         why += [f"{listed(untested, 5)} could not be tested with these data"] if untested else []
         why += ["it may be part of the unexplained error"] if len(named) < len(finding.others) else []
         sentences.append(
-            f"Its name is less sure: {', and '.join(why)} (probability of {finding.name}: "
+            f"Its name is not certain: {', and '.join(why)} (probability of {finding.name}: "
             f"{sureness(finding.name_probability)}{_of_its_family(finding)})."
         )
     elif UNEXPLAINED in finding.cannot_tell_from:

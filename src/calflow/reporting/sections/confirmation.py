@@ -1,4 +1,4 @@
-"""Confirmation: what an independent series of measurements says of the joint errors found."""
+"""Confirmation: the joint errors found, compared with those fitted to an independent series of measurements."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ CAPTION = "Joint errors as found here (line) and on the other series alone (dash
 
 
 def two_series(curves: pd.DataFrame) -> Figure:
-    """Draw every joint's error [µrad] against its angle [deg], a slide's in µm and mm, as found here and on the other series."""
+    """Draw each joint's error [µrad] against its angle [deg] by both series; a slide's in µm and mm."""
     groups = list(curves.groupby(["cause", "joint"], sort=False))
     rows = -(-len(groups) // COLUMNS)
     drawn, grid = panels(rows, COLUMNS, 1.9 * rows + 0.3)
@@ -45,7 +45,7 @@ def two_series(curves: pd.DataFrame) -> Figure:
 
 
 def _confirmation(material: Material) -> list[Block]:
-    """Show each joint's curve on both series, how well they agree, and what carries over."""
+    """Tabulate and draw each joint's error by both series, and state the model's error on the other series."""
     curves = material.tables["diagnose/confirmation_curves.csv"]
     accuracy = material.results.rows("diagnose/confirmation_accuracy.csv", CarriedAccuracy)
     cells = [
@@ -53,7 +53,7 @@ def _confirmation(material: Material) -> list[Block]:
          _either(cause.rms_there_urad, cause.rms_there_um, "µm"), _either(cause.common_deg, cause.common_mm, "mm"), cause.words)
         for cause in material.results.rows("diagnose/confirmation.csv", ConfirmedCause)
     ]  # fmt: skip
-    header = ("joint", "correlation", "here [µrad]", "there [µrad]", "common [deg]", "what it means")
+    header = ("joint", "correlation", "RMS here [µrad]", "RMS there [µrad]", "common range [deg]", "result")
     blocks: list[Block] = [Paragraph(INTRODUCTION, keep=True), Table(header, cells, "lrrrrl", wide=5)]
     if len(curves):
         blocks.append(Plot("confirmation", two_series(curves), CAPTION, curves))
@@ -61,7 +61,7 @@ def _confirmation(material: Material) -> list[Block]:
 
 
 def _faults(faults: pd.DataFrame | None) -> list[Block]:
-    """Say what was wrong in the other series' file, which was seen to before it was fitted."""
+    """Return the faults of the other series' file, which were dealt with before its fit."""
     if faults is None or faults.empty:
         return []
     statements = "; ".join(dict.fromkeys(faults["statement"]))
@@ -72,16 +72,16 @@ def _carried(accuracy: Sequence[CarriedAccuracy]) -> str:
     n = accuracy[0].n
     if n == 0:
         return (
-            "The model does not carry over as a whole: no held-out row of the other series lies within the travel that all "
-            "these joint errors were found on."
+            "The model as a whole was not tested: no held-out row of the other series lies within the ranges in which all "
+            "these joint errors were found."
         )
     parts = [f"{mm(carried.heldout_mean_mm)} mm {carried.model}" for carried in accuracy]
     return f"At the {n} held-out rows of the other series within the travel covered here the mean error is {', '.join(parts)}."
 
 
-def _either(turns: float, slides: float, unit: str) -> str:
-    """A turning joint's figure in the column's unit, or a slide's with its own."""
-    return f"{slides:.0f} {unit}" if math.isfinite(slides) else _number(turns, ".0f")
+def _either(revolute: float, slide: float, unit: str) -> str:
+    """Return a revolute joint's figure in the column's unit, or a slide's with its unit."""
+    return f"{slide:.0f} {unit}" if math.isfinite(slide) else _number(revolute, ".0f")
 
 
 def _number(value: float, form: str) -> str:

@@ -1,4 +1,4 @@
-"""Figures for the controller: as the maker counts them, in mm and degrees, beside their differences from the robot file."""
+"""Figures for the controller: in the robot file's convention, in mm and degrees, with their differences from that file."""
 
 from __future__ import annotations
 
@@ -22,9 +22,8 @@ BY_PRIOR = 0.5  # prior share from which a figure is left to the prior
 WIDEST = 5  # figures side by side in a table, each with its difference
 BASE_FIGURES = ("x", "y", "z", "rx", "ry", "rz")
 INTRODUCTION = (
-    "The calibrated robot in its maker's terms; Δ beside a figure is its difference from the robot file. A Δ in brackets rests on "
-    "prior knowledge: the data do not determine it. Figures without Δ are those of the robot file; others absorb their "
-    "errors."
+    "The calibrated robot in the robot file's convention. Δ is a figure's difference from that file, in brackets where the data do "
+    "not determine it and it rests on prior knowledge. Figures without Δ were not fitted: others absorb their errors."
 )
 ORDER = {
     "modified-dh": "Each link is Rx(alpha) Tx(a) Ry(beta) Rz(theta + joint) Tz(d).",
@@ -35,34 +34,34 @@ OWN_FRAMES = (
     "turns by theta + joint about its axis."
 )
 NO_BETA = " beta turns about y where two axes are nearly parallel; for a controller that has no beta, leave it out."
-WORTH = "Page one says how accurate the robot becomes with these figures, and with less or more than these."
+WORTH = "Page one has the robot's error with these figures, with fewer, and with corrected commands."
 ANEW = (
-    "No such figure can hold {others}, so the figures below were fitted without it: they absorb what they can of it, and differ "
-    "from the model's own."
+    "Such figures cannot represent {others}. They were fitted without it, absorb a part of it, and so differ from the model's "
+    "parameters."
 )
 ZEROS = (
     "For a controller that takes joint zeros alone: add these to its readings. They were fitted with the maker's lengths and "
-    "twists, and count as the readings do, signs and couplings included."
+    "twists, and have the signs and couplings of the readings."
 )
 LOOPED = " The driven joint's zero is that of the joint itself, behind the loop, not the motor's."
 BASE = (
-    "Where the robot stands in the measuring frame, in mm and degrees. The same rotation as controllers state it: {ways}. It holds "
-    "for this measurement: on another day, or with the instrument elsewhere, it differs."
+    "The base's pose in the measuring frame, rotated about its x, y and z axes in turn. The same rotation as controllers state it: "
+    "{ways}. It holds until robot or instrument is moved."
 )
-TOOL = "Where each marker sits in the flange's frame, in which tools are stated."
+TOOL = "The position of each marker in the flange's frame, in which tools are stated."
 
 
 @dataclass(frozen=True)
 class Figure(ControllerFigure):
-    """A figure with what the data tell of it: it was looked for, and it is measured, not prior knowledge alone."""
+    """A figure, whether it was fitted, and whether the data determine it rather than the prior."""
 
-    looked_for: bool
-    measured: bool
+    fitted: bool
+    determined: bool
 
     @property
     def is_shown(self) -> bool:
-        """Whether it is anything, or was looked for."""
-        return bool(self.nominal) or self.looked_for
+        """Whether it is not zero, or was fitted."""
+        return bool(self.nominal) or self.fitted
 
     def shown(self, value: float, sign: str = "") -> str:
         """Return a value as a table shows it."""
@@ -74,19 +73,20 @@ def reported_figures(material: Material) -> dict[str, dict[str, Figure]]:
     robot, rows = material.robot, [row for row in material.figures.parameters if row.effect == Geometry.id]
     parts_of = {f"joint{i}": f"joint {i}" for i in range(1, robot.n_joints + 1)}
     parts_of |= {name: f"marker {name}" for name in robot.markers}
-    fitted = {(parts_of.get(row.part, row.part), row.symbol): row for row in rows}
+    estimates = {(parts_of.get(row.part, row.part), row.symbol): row for row in rows}
     parts: dict[str, dict[str, Figure]] = {}
     for figure in controller_figures(robot, robot_of(material.figures)):
-        row = fitted.get((figure.part, figure.figure))
-        looked_for, measured = row is not None or figure.difference != 0, row is None or row.prior_share <= BY_PRIOR
+        row = estimates.get((figure.part, figure.figure))
         parts.setdefault(figure.part, {})[figure.figure] = Figure(
-            **vars(figure), looked_for=looked_for, measured=measured
+            **vars(figure),
+            fitted=row is not None or figure.difference != 0,
+            determined=row is None or row.prior_share <= BY_PRIOR,
         )
     return parts
 
 
 def _controller_figures(material: Material) -> list[Block]:
-    """Tabulate links, zeros, base and tool, and say what these figures alone are worth."""
+    """Tabulate links, joint zeros, tool and base."""
     robot, parts = material.robot, reported_figures(material)
     joints = {
         str(i): [parts[f"joint {i}"][step.symbol] for step in frame.every
@@ -99,7 +99,7 @@ def _controller_figures(material: Material) -> list[Block]:
     header = [f"joint {i} [{joint.shown[0]}]" for i, joint in enumerate(robot.joints, start=1)]
     added = [number(value, "+.4f") for value in zeros(robot, material.levels)] if material.levels else []
     markers = {name: list(parts[f"marker {name}"].values()) for name in robot.markers}
-    bars, located = parts.get("loop", {}), any(parts["base"][name].looked_for for name in BASE_FIGURES)
+    bars, located = parts.get("loop", {}), any(parts["base"][name].fitted for name in BASE_FIGURES)
     return [
         *_worth(material),
         Paragraph(f"{INTRODUCTION} {order}", keep=True),
@@ -117,12 +117,12 @@ def _controller_figures(material: Material) -> list[Block]:
 
 
 def zeros(robot: Robot, levels: Levels) -> np.ndarray:
-    """Return what has to be added to each joint's reading so that the maker's zero is true (n_joints,) [deg, or mm of a slide]."""
+    """Return the corrections of the joint readings with the maker's other figures, (n_joints,) [deg, or mm of a slide]."""
     return added_to_readings(robot, robot_of(levels.alone["zeros and tool"]))
 
 
 def _worth(material: Material) -> list[Block]:
-    """Say what the figures are fitted without, and where they do harm; page one says what they are worth."""
+    """Return words on what the figures were fitted without, and on any harm that they do."""
     levels = material.levels
     if levels is None:
         return [Paragraph(f"{first_up(NOT_COMPUTED)}: run the study again.")]
@@ -147,18 +147,18 @@ def _table(what: str, names: Sequence[str], columns: Mapping[tuple[str, str], Ma
     """Return a table of figures by unit and symbol, those that were fitted beside their differences."""
     header, cells = [what], [[name] for name in names]
     for (unit, symbol), column in columns.items():
-        fitted = any(figure.looked_for for figure in column.values())
-        header += [f"{symbol} [{unit}]", *["Δ"] * fitted]
+        with_differences = any(figure.fitted for figure in column.values())
+        header += [f"{symbol} [{unit}]", *["Δ"] * with_differences]
         for name, row in zip(names, cells, strict=True):
-            row += _cells(column.get(name))[: 1 + fitted]
+            row += _cells(column.get(name))[: 1 + with_differences]
     return Table(header, cells, "l" + "r" * (len(header) - 1), size=8)
 
 
 def _cells(figure: Figure | None) -> tuple[str, str]:
     if figure is None:
         return "–", ""
-    difference = figure.shown(figure.difference, "+") if figure.looked_for else ""
-    return figure.shown(figure.calibrated), difference if figure.measured else f"({difference})"
+    difference = figure.shown(figure.difference, "+") if figure.fitted else ""
+    return figure.shown(figure.calibrated), difference if figure.determined else f"({difference})"
 
 
 def _base(base: Mapping[str, Figure], known: bool) -> list[Block]:

@@ -1,4 +1,4 @@
-"""The section on data faults: what was wrong in which file, and what was done about it."""
+"""Data faults: what was wrong in which file, and what was done about it."""
 
 from __future__ import annotations
 
@@ -12,25 +12,22 @@ from calflow.reporting.blocks import Block, Paragraph, Table
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
 
-PLACES_NAMED = 12  # places that a list of lines names
+LINES_NAMED = 12  # lines of a file that are listed
 FOUND = "Gross mistakes in the measurement file, the robot file or the set-up, found before any fit."
 DONE = {  # by action: what the table says, and what that means
     "unsettled": (
         "nothing: settle it first",
-        "What is unsettled was left as it is: the fit and the verdict contain the mistake, and no cause is named until it is "
-        "settled.",
+        "Unsettled mistakes were left in: they affect the fit and the verdict, and no cause is named before they are settled.",
     ),
-    "corrected": ("corrected in memory", "What has one clear correction was corrected in memory."),
-    "left out": ("left out", "Rows that nothing puts right were left out of the fit and of the judgement."),
-    "told": ("nothing: look at it", "What may be right after all is only reported: nothing was changed."),
+    "corrected": ("corrected in memory", "Mistakes with one clear correction were corrected in memory."),
+    "left out": ("left out", "Rows without a clear correction were left out of the fit and the verdict."),
+    "told": ("nothing: look at it", "What may be right is only reported."),
 }
-AS_IT_WAS = (
-    "The files themselves are as they were: correct them, so that the next reader does not find the same mistakes."
-)
+UNCHANGED = "The files themselves were not changed: correct them."
 
 
 def _data_faults(material: Material) -> list[Block]:
-    """Tabulate each fault with its rows and what was done, then say what to do."""
+    """Tabulate each fault with its lines and what was done, then state each in a sentence."""
     faults = faults_by_rows(material)
     rows = [
         (effect_words(rows[0].cause), str(rows[0].joint or "–"), rows[0].where, _lines(rows), DONE[rows[0].action][0])
@@ -39,7 +36,7 @@ def _data_faults(material: Material) -> list[Block]:
     actions = {rows[0].action for rows in faults}
     meant = [words for action, (_, words) in DONE.items() if action in actions]
     return [
-        Paragraph(" ".join([FOUND, *meant, *([AS_IT_WAS] if actions & {"corrected", "left out"} else [])]), keep=True),
+        Paragraph(" ".join([FOUND, *meant, *([UNCHANGED] if actions & {"corrected", "left out"} else [])]), keep=True),
         Table(("fault", "joint", "in the", "lines", "what was done"), rows, "lrlll", wide=3),
         *(Paragraph(f"{first_up(rows[0].statement)}.") for rows in faults),
     ]
@@ -49,7 +46,7 @@ def _lines(rows: Sequence[FaultyRow]) -> str:
     lines = [row.line for row in rows if row.line is not None]
     if rows[0].action == "unsettled":
         return "–"
-    return lines_in_words(lines, PLACES_NAMED) if lines else "all rows"
+    return lines_in_words(lines, LINES_NAMED) if lines else "all rows"
 
 
 FAULTS_SECTION = Section(5, "Data faults", FAULTS, _data_faults, lambda outcome: len(outcome.tables[FAULTS]) > 0)

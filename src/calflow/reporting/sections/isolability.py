@@ -1,4 +1,4 @@
-"""Isolability: which causes the planned poses would show and tell apart, and which gaps could be filled."""
+"""Isolability: which causes the planned poses detect and distinguish, and how gaps could be filled."""
 
 from __future__ import annotations
 
@@ -16,36 +16,36 @@ from calflow.reporting.material import Material
 from calflow.reporting.section import Section
 from calflow.reporting.style import DARK, LIGHT, WIDTH, figure
 
-ROW, HIGHEST = 0.115, 7.0  # inches of a cause, and of all together
+ROW, HIGHEST = 0.115, 7.0  # inches per cause, and of all together
 WIDE = 5.2  # inches of all columns
 LETTERS_POINTS = 5.5  # points of a name, at most
 PER_INCH = 60.0  # points of a name that an inch has room for
-SEEN, NOT_TOLD, NOT_SEEN, SELF = 0, 1, 2, 3
+DISTINGUISHED, ALIKE, UNDETECTED, SELF = 0, 1, 2, 3
 COLOURS = ("#ffffff", DARK, LIGHT, "#777777")
-HATCH = "////"  # of what is not seen, so that it is known on any paper
+HATCH = "////"  # of undetected causes, legible in greyscale
 APART_CAPTION = (
-    "Which causes the planned poses distinguish, if the cause of a row is present at the size stated. White: it is seen and "
-    "distinguished from the cause of the column in 9 of 10 measurements. Dark: it is seen, but not distinguished. Hatched: it is "
-    "not seen. Causes that lack a column or a figure of the robot have no row."
+    "Which causes the planned poses distinguish, if the cause of a row is present at its typical size. White: detected, and "
+    "distinguished from the cause of the column, in 9 of 10 measurements. Dark: detected, but not distinguished. Hatched: not "
+    "detected. Causes that lack a column or a figure of the robot have no row."
 )
 
 
 def apart_figure(table: pd.DataFrame) -> Figure:
-    """Draw a row a cause and a column a rival: distinguished, not distinguished, or not seen at all."""
+    """Draw a matrix of causes and rivals: distinguished, not distinguished, or not detected."""
     tested = table[(table["part"] != "") & table["part"].notna()]
     alone = tested[tested["rival"].fillna("") == ""]
     names = [
-        f"{cause} {joint:.0f}" if joint > 0 else f"{cause} ({part})"  # its part where that has no number
+        f"{cause} {joint:.0f}" if joint > 0 else f"{cause} ({part})"
         for cause, joint, part in zip(alone["cause"], alone["joint"].astype(float), alone["part"], strict=True)
     ]
     number = {place: k for k, place in enumerate(zip(alone["cause"], alone["part"], strict=True))}
-    cells = np.full((len(names), len(names)), SEEN)
+    cells = np.full((len(names), len(names)), DISTINGUISHED)
     for row in tested.to_dict("records"):
         rival = number.get((row["rival"], row["rival_part"]))
         if rival is not None and not row["enough"]:
-            cells[number[row["cause"], row["part"]], rival] = NOT_TOLD
-    unseen = np.flatnonzero(~alone["enough"].to_numpy(dtype=bool))
-    cells[unseen] = NOT_SEEN
+            cells[number[row["cause"], row["part"]], rival] = ALIKE
+    undetected = np.flatnonzero(~alone["enough"].to_numpy(dtype=bool))
+    cells[undetected] = UNDETECTED
     np.fill_diagonal(cells, SELF)
 
     high = float(np.clip(ROW * len(names), 1.0, HIGHEST))
@@ -55,7 +55,7 @@ def apart_figure(table: pd.DataFrame) -> Figure:
     colours = ListedColormap(COLOURS)
     norm = BoundaryNorm(np.arange(5) - 0.5, 4)
     axes.pcolormesh(edges, edges, cells, cmap=colours, norm=norm, edgecolors="#cccccc", linewidth=0.3)
-    for k in unseen:
+    for k in undetected:
         axes.axhspan(k - 0.5, k + 0.5, facecolor="none", edgecolor="#888888", hatch=HATCH, linewidth=0)
     axes.grid(False)
     axes.set_xticks(range(len(names)), names, rotation=90, fontsize=min(LETTERS_POINTS, PER_INCH * WIDE / len(names)))
@@ -63,23 +63,23 @@ def apart_figure(table: pd.DataFrame) -> Figure:
     axes.invert_yaxis()
     axes.set(xlabel="distinguished from", ylabel="if this is present")
     key = [
-        Patch(facecolor=COLOURS[SEEN], edgecolor="#888888", label="seen and distinguished"),
-        Patch(facecolor=COLOURS[NOT_TOLD], label="seen, not distinguished"),
-        Patch(facecolor=COLOURS[NOT_SEEN], edgecolor="#888888", hatch=HATCH, label="not seen"),
+        Patch(facecolor=COLOURS[DISTINGUISHED], edgecolor="#888888", label="detected and distinguished"),
+        Patch(facecolor=COLOURS[ALIKE], label="detected, not distinguished"),
+        Patch(facecolor=COLOURS[UNDETECTED], edgecolor="#888888", hatch=HATCH, label="not detected"),
     ]
     drawn.legend(handles=key, ncols=3, loc="outside upper center")
     return drawn
 
 
 def _isolability(material: Material) -> list[Block]:
-    """Show the matrix, and say every gap that something fills."""
+    """Draw the matrix, and state each gap that can be filled."""
     table = material.tables[ISOLABILITY_TABLE]
     return [
-        Paragraph(f"{first_up(isolability_summary(table))}. Before anything is measured this follows from the model, the "
-                  "device's noise and the tests of diagnose; a cause is taken at its usual size, in any direction.", keep=True),
+        Paragraph(f"{first_up(isolability_summary(table))}. This is computed before measuring, from the model, the "
+                  "device's noise and the tests of diagnose, for causes of typical size in any direction.", keep=True),
         Plot("isolability", apart_figure(table), APART_CAPTION, table),
         *(Paragraph(f"{first_up(words)}.") for words in isolability_gaps(table)),
-        Paragraph(f"All chances, and what nothing tried fills, are in {ISOLABILITY_TABLE}."),
+        Paragraph(f"All probabilities, and the gaps that none of the additions fills, are in {ISOLABILITY_TABLE}."),
     ]  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""Model choice: all models in reach of what was found, each as probable as its evidence makes it."""
+"""Model choice: the posterior probabilities of the models near the one found."""
 
 from __future__ import annotations
 
@@ -10,19 +10,17 @@ from calflow.reporting.material import Material
 from calflow.reporting.section import Section
 
 MODELS = "diagnose/models_in_reach.csv"
-MODELS_SHOWN, LEAST_PROBABILITY = (
-    12,
-    0.005,
-)  # causes and models that are told: those that are likeliest, down to this probability
+MODELS_SHOWN = 12  # causes and models in the tables, the most probable first
+LEAST_PROBABILITY = 0.005  # of those shown
 INTRODUCTION = (
     "Other models than the one found explain the data nearly as well: without some of its causes, with others in their places, or "
-    "with one more. Each is weighed by how probable it makes the data, and by what was assumed beforehand: one cause of the whole "
-    "catalogue is to be expected. The probabilities hold if one of these models is right."
+    "with one more. Their probabilities follow from the evidence, here relative to the model found, and from the prior that one "
+    "cause of the whole catalogue is to be expected. They hold if one of these models is right."
 )
 
 
 def _model_choice(material: Material) -> list[Block]:
-    """Tabulate how probable each cause is, and the likeliest models."""
+    """Tabulate the probability of each cause, and the most probable models."""
     models = material.models_in_reach
     causes = material.cause_probabilities
     shown = [row for row in causes if row.found or row.probability >= LEAST_PROBABILITY][:MODELS_SHOWN]
@@ -30,7 +28,7 @@ def _model_choice(material: Material) -> list[Block]:
     cells = [(first_up(place_name(row.cause, row.joint or 0, row.part)), f"{row.probability:.3f}") for row in shown]
     return [
         Paragraph(INTRODUCTION, keep=True),
-        Table(("cause, in whatever form and beside whatever else", "probability"), cells, "lr", wide=0),
+        Table(("cause, in any of these models", "probability"), cells, "lr", wide=0),
         Table(("model", "log evidence", "probability"), likeliest, "lrr", wide=0),
     ]
 
@@ -41,7 +39,7 @@ def _row(row: ModelRow) -> tuple[str, str, str]:
         for cause, joint, part, detail in zip(row.causes, row.joints, row.parts, row.details, strict=True)
     ]
     words = {"found": " (as found)"}.get(row.change, "")
-    return ", ".join(named or ["none of them"]) + words, number(row.log_evidence, ".1f"), f"{row.probability:.3f}"
+    return ", ".join(named or ["no cause"]) + words, number(row.log_evidence, ".1f"), f"{row.probability:.3f}"
 
 
 MODEL_CHOICE_SECTION = Section(

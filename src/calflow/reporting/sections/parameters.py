@@ -1,4 +1,4 @@
-"""Parameters: what was identified, how surely, what is prior knowledge alone, and what the data cannot tell."""
+"""Parameters: estimates with standard deviations, the share of the prior in each, and what the data do not determine."""
 
 from __future__ import annotations
 
@@ -20,41 +20,47 @@ from calflow.reporting.material import Material
 from calflow.reporting.section import Section
 from calflow.reporting.sections.verdict import statement_words
 from calflow.reporting.style import ACCENT, DARK, LIGHT, figure, turned
+from calflow.robot.frames import CONVENTIONS
 
 AT_BOUND = "at a bound, no sd"
 CHARACTER = 0.55  # of a parameter's place that a letter takes
-MOST_FIGURES = 20  # figures of one part's curve beyond which one line tells of all: the curve is drawn with its cause
+MOST_FIGURES = 20  # parameters of a part above which one row summarises them: such a curve is drawn with its cause
 MOST_MARKED = 4  # parameters in a trade up to which each is marked
 LEGEND = (
-    "Each value is the difference from the robot file. jointN has the DH figures of link N: the angles alpha, theta and beta "
-    "(about y, where axes are nearly parallel), and the lengths a and d. s is the joint's compliance: 1 µrad/Nm is 1 mrad at "
-    "1 kNm. base is where the robot stands, loop the lengths of the bars, and other names are markers on the tool. Grey: assumed "
-    "beforehand, not measured."
+    "Each value is the difference from the robot file. jointN has {of_links} s is the joint's compliance: 1 µrad/Nm is 1 mrad at "
+    "1 kNm. base is the robot's base, loop the lengths of the bars; other names are markers on the tool and what the robot was "
+    "measured by. Grey: determined by the prior, not by the data."
 )
-REGISTERED = " Base and markers: the difference from where the training poses put them (see the appendix)."
+DH = (
+    "the DH parameters of link N: the angles alpha, theta and beta (about y, where axes are nearly parallel), and the lengths a "
+    "and d."
+)
+ORIGINS = (
+    "the shifts x, y, z and the rotations rx, ry, rz of link N in its parent's frame, and theta, the zero of joint N."
+)
+REGISTERED = " Base and markers: the difference from their nominal poses (see the appendix)."
 ADDED = (
-    " At the end: the causes that the section before names. Outside this table their parameters have the cause in their "
-    "names, as in joint3.joint-backlash.b."
+    " At the end: the causes that diagnose found. Elsewhere their parameters have the cause in their names, as in "
+    "joint3.joint-backlash.b."
 )
-CURVES = " Of a curve one line gives the least and the largest figure; all are in parameters.csv."
+CURVES = " A curve has one row with its least and largest parameters; all are in parameters.csv."
 ESTIMATES_CAPTION = (
-    "Estimates in units of what was thought likely beforehand (grey band: one prior standard deviation). Bars are ± 2 sd; "
-    "where none is seen it is smaller than the dot."
+    "Estimates in prior standard deviations (grey band: one of them). Bars: ± 2 sd, where larger than the dot."
 )
 HARMLESS = (
-    "What they leave open does no harm under conditions like those measured: any value serves. It matters for other tools, loads "
-    "or directions, and for whoever reads a value as a true dimension."
+    "The others do no harm under conditions like those measured, where any value predicts the same. They matter for other tools, "
+    "loads or directions, and where a value is read as a true dimension."
 )
 COUNTED = (
-    "With the number of parameters that the study counts, a model would keep those that the data determine best. Leaving out the "
-    "others costs no accuracy where those kept make up for them."
+    "The study limits the number of parameters to those that the data determine best. Leaving out the others costs no accuracy "
+    "where those kept compensate for them."
 )
 BRACKETS = (
-    "Numbers in brackets: by how many of its prior standard deviations a parameter makes up for one of the first."
+    "Numbers in brackets: by how many of its prior standard deviations a parameter compensates for one of the first's."
 )
 LEFT_OUT = (
-    "The robot file states each joint by a place and a turn in full. Some of these figures move the tool in exactly the same way "
-    "as others, whatever the pose: no measurement separates them. They keep the robot file's value, and predictions lose nothing."
+    "The robot file states six figures for each joint's frame. Some move the tool exactly as others do at every pose, so no "
+    "measurement separates them. They keep the robot file's value, and predictions lose nothing."
 )
 TOGETHER = ", with the joint's other figures"
 
@@ -64,8 +70,8 @@ def estimates(
 ) -> Figure:
     """Draw each estimate's distance from nominal ± 2 sd in prior standard deviations, grouped by effect.
 
-    effects names each parameter's group, in words. scaled and sd have shape (n_parameters,), sd is nan at a bound;
-    from_prior marks what the data leave to the prior.
+    effects: each parameter's group, in words; scaled, sd: shape (n_parameters,), sd nan at a bound; from_prior: mask of
+    parameters that the prior determines.
     """
     groups = [(effect, len(list(members))) for effect, members in groupby(effects)]
     titles = [_title(effect, number) for effect, number in groups]
@@ -84,8 +90,8 @@ def estimates(
     axes.axhline(0, color="#444444", linewidth=0.6)
     bound = ~np.isfinite(sd)
     for mask, look, name in (
-        (~bound & ~from_prior, {"fmt": "o", "color": DARK}, "measured"),
-        (~bound & from_prior, {"fmt": "D", "color": ACCENT, "markerfacecolor": "white"}, "assumed beforehand"),
+        (~bound & ~from_prior, {"fmt": "o", "color": DARK}, "determined by the data"),
+        (~bound & from_prior, {"fmt": "D", "color": ACCENT, "markerfacecolor": "white"}, "determined by the prior"),
     ):
         if mask.any():
             axes.errorbar(at[mask], scaled[mask], 2 * sd[mask], elinewidth=1.0, capsize=1.8, label=name, **look)  # type: ignore[arg-type]
@@ -107,7 +113,7 @@ def estimates(
 
 
 def _title(effect: str, number: int) -> str:
-    """Break a group's name into lines as long as its parameters give room for, or as its longest word."""
+    """Return a group's name, broken into lines that fit above its parameters."""
     words = effect.split(" ")
     return fill(effect, max(int(number / CHARACTER), *map(len, words)), break_on_hyphens=False)
 
@@ -115,7 +121,7 @@ def _title(effect: str, number: int) -> str:
 def _parameters(material: Material) -> list[Block]:
     """Tabulate and draw the parameters."""
     parameters = material.fitted_parameters
-    added = len(parameters) > len(material.identified_parameters)
+    added, robot = len(parameters) > len(material.identified_parameters), material.calibrated.model.robot
     rows, shaded = lines(parameters, _known_together(material))
     names = ("parameter", "unit", "nominal", "estimate", "sd", "prior_share", "prior_sd")
     free = [row for row in parameters if not row.fixed]
@@ -133,7 +139,12 @@ def _parameters(material: Material) -> list[Block]:
     )
     curves = "" if single.all() else CURVES
     return [
-        Paragraph(LEGEND + REGISTERED * (not material.calibrated.model.robot.base.known) + ADDED * added + curves),
+        Paragraph(
+            LEGEND.format(of_links=DH if robot.kinematics in CONVENTIONS else ORIGINS)
+            + REGISTERED * (not robot.base.known)
+            + ADDED * added
+            + curves
+        ),
         Table(("parameter", "unit", "estimate", "sd", "allowed", "known from"), rows, "llrrrl", shaded, 8.6),
         Plot("parameters", drawn, ESTIMATES_CAPTION, scaled),
     ]
@@ -142,7 +153,7 @@ def _parameters(material: Material) -> list[Block]:
 def lines(
     parameters: Sequence[FittedParameter], together: set[str]
 ) -> tuple[list[tuple[str, ...] | str], frozenset[int]]:
-    """Return the table's rows with a heading for each effect, and which rows are left to the prior."""
+    """Return the table's rows with a heading for each effect, and the indices of rows that the prior determines."""
     parts: dict[tuple[str, str], list[FittedParameter]] = {}
     for row in parameters:
         parts.setdefault((_group(row), row.part), []).append(row)
@@ -164,7 +175,7 @@ def lines(
 
 
 def _curve(rows: Sequence[FittedParameter]) -> tuple[str, ...]:
-    """Tell of a curve's figures, which mean nothing one by one, in one line: how many, and between what they lie."""
+    """Return one row for the parameters of a curve: their number and the range of their estimates."""
     factor, unit = readable(rows[0].unit)
     moved = [factor * (row.estimate - row.nominal) for row in rows]
     range_words = interval(float(f"{min(moved):.2g}"), float(f"{max(moved):.2g}"))
@@ -179,21 +190,21 @@ def _group(row: FittedParameter) -> str:
 
 
 def _place(row: FittedParameter) -> str:
-    """Return a parameter's part and symbol, which is clear within its group."""
+    """Return a parameter's part and symbol, unique within its group."""
     return f"{row.part}.{row.symbol}"
 
 
 def _line(row: FittedParameter, together: bool) -> tuple[str, ...]:
     factor, unit = readable(row.unit)
     if row.fixed:
-        return unit, f"{factor * (row.estimate - row.nominal):.4g}", "", "", "held by the study"
+        return unit, f"{factor * (row.estimate - row.nominal):.4g}", "", "", "fixed by the study"
     value, deviation = with_sd(factor * (row.estimate - row.nominal), factor * row.sd)
     allowed = interval(factor * (row.lower - row.nominal), factor * (row.upper - row.nominal))
     return unit, value, deviation, allowed, known_from(row.prior_share, row.at_bound, together)
 
 
 def known_from(prior_share: float, at_bound: bool, together: bool = False) -> str:
-    """Say in words where a parameter's value comes from; together: the data know it only with others."""
+    """Return the source of an estimate in words; together: the data determine it only in combination with others."""
     if at_bound:
         return "at a bound, data say nothing" if prior_share > BY_PRIOR else "data, at a bound"
     if together and prior_share <= BY_PRIOR:
@@ -205,7 +216,7 @@ def known_from(prior_share: float, at_bound: bool, together: bool = False) -> st
 
 
 def _known_together(outcome: RunOutcome) -> set[str]:
-    """Return the parameters of which the data know little more than a combination with one or two others."""
+    """Return the parameters that the data determine only in combination with a few others."""
     groups = [trade.parameters for trade in of_kind(outcome, "trade")]
     return {name for group in groups if len(group) <= MOST_MARKED for name in group}
 
@@ -214,7 +225,7 @@ PARAMETERS_SECTION = Section(60, "Identified parameters", "identify/parameters.c
 
 
 def _identifiability(material: Material) -> list[Block]:
-    """Say what the data determine, what they say nothing about and what they know only together."""
+    """State which parameters and combinations the data determine, and which they do not."""
     summary = material.summary
     ranks = [f"{effect_words(effect)}: {rank}" for effect, rank in summary.rank_by_effect.items()]
     by_effect = f" ({'; '.join(ranks)})" if len(ranks) > 1 else ""
@@ -228,13 +239,13 @@ def _identifiability(material: Material) -> list[Block]:
 
 
 def left_out_words(outcome: RunOutcome) -> list[Block]:
-    """Name the figures of full origins that are no parameters; nothing where joints are stated otherwise."""
+    """Tabulate the figures of full origins that are no parameters; nothing where joints are stated otherwise."""
     rows = []
     for joint, group in groupby(outcome.redundant, key=lambda figure: figure.joint):
         figures = list(group)
         symbols = ", ".join(figure.symbol for figure in figures)
         rows.append((str(joint), symbols, f"{figures[0].same}{TOGETHER * (joint > 1)}"))
-    table = Table(("joint", "left out", "the same is done by"), rows, "rll", wide=2)
+    table = Table(("joint", "left out", "equivalent to"), rows, "rll", wide=2)
     return headed("Figures that are no parameters", Paragraph(LEFT_OUT, keep=True), table, where=rows)
 
 
@@ -243,7 +254,7 @@ def _statements(outcome: RunOutcome) -> list[Block]:
         statement_words(statement) for statement in outcome.statements if statement.kind in ("silent", "trade", "scale")
     ]
     sentences += [
-        f"{row.parameter} sits at the end of its allowed range ({allowed_range(row)}): its error is one-sided, so no standard "
+        f"{row.parameter} is at the end of its allowed range ({allowed_range(row)}): its error is one-sided, so no standard "
         "deviation is given."
         for row in outcome.identified_parameters
         if row.at_bound

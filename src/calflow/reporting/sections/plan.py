@@ -1,4 +1,4 @@
-"""The plan: how many poses, which and in what order, how sure they make the tool, and what one thing more is worth."""
+"""Plan: the number of poses, which and in what order, the tool's expected uncertainty, and the gain by additions."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ from calflow.robot.robot import Robot
 INDICES = ("O1", "O2", "O3", "O4", "O5")
 CURVES = {"expected_sd_mm": "root mean square", "worst_sd_mm": "worst pose"}
 WORTH_TABLE = "select/worth.csv"
-GAPS = 5  # that are told on the first page
+GAPS = 5  # on the first page
 UNASKED = (
-    "Not worked out: with isolability = true under [stages.select] this page says which causes these poses would show."
+    "Not computed: with isolability = true under [stages.select] this page says which causes these poses would show."
 )
 EXPECTED_CAPTION = "Expected standard deviation of the predicted tool position over the task, by the number of poses."
 FIRST_POSES = 10  # poses in the table
@@ -57,20 +57,18 @@ NUMBER_CAPTION = (
     "relative to its value with all poses. Where a curve is flat, more poses gain little."
 )
 ADDITIONS = (
-    "How much more certain the tool would be over the task if one more thing were measured, all else as planned. Only the "
-    "uncertainty of "
-    "the parameters counts: causes that a payload or a marker would show come on top. What it takes to locate a second station or "
-    "marker is deducted."
+    "The tool's standard deviation over the task with one addition to the plan. Only the uncertainty of the parameters counts; "
+    "causes that a payload or a marker would show are not included. Locating a second station or marker is included."
 )
 ORDER_TABLE = "select/order.csv"
 DRIFTS = (
-    "A steady drift while the poses are measured looks like an error of the robot; how large depends on their order. Short: short "
+    "A steady drift while the poses are measured biases the parameters, by an amount that depends on the order. Short: short "
     "moves from pose to pose. Random: blocks of ten poses drawn from all, with short moves in each; of fifty such orders the one "
-    "that a drift disturbs least. The device drifts in the worst direction; the robot grows from its base, as it does when warm."
+    "with the least bias. The device drifts in the worst direction; the robot grows from its base, as it does when warm."
 )
 VIAS = (
-    "Each joint comes to its pose straight from a via point (columns via1 …), from either side about equally often, so that play "
-    "and friction are not mistaken for an effect of place."
+    "Each joint approaches its pose directly from a via point (columns via1 …), from either side about equally often, so that "
+    "backlash and friction are not mistaken for effects of the joint's position."
 )
 
 
@@ -85,13 +83,13 @@ def observability_figure(table: pd.DataFrame) -> Figure:
             axes.plot(poses, values / values[-1], color=colour, linestyle=line, marker=marker, markevery=max(1, len(poses) // 8),
                       markersize=3, label=name)  # fmt: skip
     axes.set(xlabel="number of poses", ylabel="observability index\n[relative to all poses]", ylim=(0, None))
-    if axes.lines:  # with fewer poses than it takes there is no index
+    if axes.lines:  # too few poses have no index
         axes.legend(ncols=2)
     return drawn
 
 
 def expected_error(table: pd.DataFrame, how_many: HowMany) -> Figure:
-    """Draw the tool's expected sd [mm] against the number of poses, with the knee and the tolerance that was asked for."""
+    """Draw the tool's expected sd [mm] against the number of poses, with the knee and the required tolerance."""
     drawn = figure(2.3, 3.4)
     axes = drawn.add_subplot()
     for (name, label), (colour, line, marker) in zip(CURVES.items(), ALONE, strict=False):
@@ -100,7 +98,7 @@ def expected_error(table: pd.DataFrame, how_many: HowMany) -> Figure:
         )
     axes.axvline(how_many.knee_poses, color=MIDDLE, linestyle=":", linewidth=0.9, label="knee")
     if how_many.tolerance_mm is not None:
-        axes.axhline(how_many.tolerance_mm, color=DARK, linewidth=0.8, label="asked for")
+        axes.axhline(how_many.tolerance_mm, color=DARK, linewidth=0.8, label="tolerance")
     axes.set(xlabel="number of poses", ylabel="expected sd of the tool [mm]", ylim=(0, None))
     axes.legend()
     return drawn
@@ -124,7 +122,7 @@ def map_of_poses(position: np.ndarray) -> Figure:
 
 
 def _plan(material: Material) -> list[Block]:
-    """Put the plan on one page."""
+    """Return the plan's first page."""
     how_many = material.results.document("select/how_many.json", HowMany)
     worth = material.results.rows(WORTH_TABLE, Worth)
     curve = material.tables["select/observability.csv"]
@@ -150,16 +148,16 @@ def _plan(material: Material) -> list[Block]:
 
 
 def _plan_verdict(how_many: HowMany) -> str:
-    """Say what the poses are worth."""
+    """Return a sentence on the expected uncertainty of the tool."""
     certain = f"{plural(how_many.n_poses, 'pose')} make the tool's position certain to {mm(how_many.expected_sd_mm)} mm"
     if how_many.tolerance_mm is None:
         return f"{certain}."
     met = "met" if how_many.expected_sd_mm <= how_many.tolerance_mm else "not met"
-    return f"{certain}: the {mm(how_many.tolerance_mm)} mm asked for are {met}."
+    return f"{certain}: the tolerance of {mm(how_many.tolerance_mm)} mm is {met}."
 
 
 def _how_many_words(how_many: HowMany) -> list[Item]:
-    """Say what the number of poses is worth: the knee, ten more, and the tolerance."""
+    """Return items on the number of poses: the knee, ten more, and the tolerance."""
     items: list[Item] = [
         ("Knee:", f"the curve bends at {how_many.knee_poses} poses: fewer cost much, more gain little."),
         ("Ten more", f"would lower the error by {mm(how_many.next_ten_mm)} mm."),
@@ -176,10 +174,10 @@ def _how_many_words(how_many: HowMany) -> list[Item]:
 
 
 def _held_out(material: Material, how_many: HowMany) -> list[Item]:
-    """Say that poses which are held out do not count."""
+    """Return an item on the poses to be held out in addition."""
     share = material.request.split.holdout
     more = math.ceil(how_many.n_poses / (1 - share))
-    words = f"these poses are all fitted. The study holds out {percent(share)} besides: measure {more} in all."
+    words = f"these poses are all fitted. The study holds out {percent(share)} in addition: measure {more} in all."
     return [("Held out:", words)] if share else []
 
 
@@ -197,21 +195,23 @@ def _planned(material: Material) -> str:
 
 
 def _gaps(outcome: RunOutcome) -> list[Item]:
-    """What the poses cannot tell, each with the cheapest thing that fills it."""
+    """Return the causes that the poses do not detect or distinguish, each with the cheapest remedy."""
     if ISOLABILITY not in outcome.results:
         return [UNASKED]
     table = outcome.tables[ISOLABILITY]
     gaps = isolability_gaps(table)
     left = int(table["worst"].sum()) - len(gaps[:GAPS])
-    more = [f"{plural(left, 'further gap')} in {ISOLABILITY}, some of which nothing tried fills."] if left else []
+    more = (
+        [f"{plural(left, 'further gap')} in {ISOLABILITY}, some without a remedy among the additions."] if left else []
+    )
     return [*(f"{first_up(words)}." for words in (isolability_summary(table), *gaps[:GAPS])), *more]
 
 
 def _next_things(how_many: HowMany, worth: list[Worth]) -> list[Item]:
-    """What to do with the plan."""
+    """Return the next steps."""
     items: list[Item] = []
     if how_many.enough_poses and how_many.enough_poses > how_many.n_poses:
-        items.append(f"Plan {how_many.enough_poses} poses for the tolerance that was asked for.")
+        items.append(f"Plan {how_many.enough_poses} poses for the required tolerance.")
     if len(worth) > 1:
         best = worth[1]
         items.append(f"Consider first: {best.addition} takes {best.gain_percent:.0f} % off the tool's error.")
@@ -223,7 +223,7 @@ def _next_things(how_many: HowMany, worth: list[Worth]) -> list[Item]:
 
 
 def _to_measure(outcome: RunOutcome) -> bool:
-    """Whether the poses are still to be measured: a calibration has a first page of its own."""
+    """Whether the poses are still to be measured; a calibration has another first page."""
     return "identify/summary.json" not in outcome.results
 
 
@@ -231,16 +231,16 @@ PLAN_SECTION = Section(1, "Plan", WORTH_TABLE, _plan, _to_measure)
 
 
 def _planned_poses(material: Material) -> list[Block]:
-    """Show what the number of poses is worth, where they are and the first of them."""
+    """State the poses' expected uncertainty, draw them, and tabulate the first."""
     poses, worth = material.tables["select/poses.csv"], material.tables["select/observability.csv"]
     expected, worst = (float(worth[name].iloc[-1]) for name in ("expected_sd_mm", "worst_sd_mm"))
     certificate = material.results.document("select/certificate.json", Certificate)
     position = poses[[f"nominal_{axis}_mm" for axis in "xyz"]].to_numpy(dtype=float)
     return [
         Paragraph(
-            f"{len(poses)} poses were chosen so that together they {AIMS[certificate.criterion]}. With all of them the "
-            f"predicted tool position is expected to be certain to {mm(expected)} mm (1 sd, root mean square over the task), "
-            f"and to {mm(worst)} mm where it is least so. {_bound_words(certificate)}",
+            f"{len(poses)} poses were chosen so that together they {AIMS[certificate.criterion]}. The expected standard deviation "
+            f"of the predicted tool position is {mm(expected)} mm over the task (root mean square), and {mm(worst)} mm where it is "
+            f"largest. {_bound_words(certificate)}",
             keep=True,
         ),
         Plot("observability", observability_figure(worth), NUMBER_CAPTION, worth, 51),
@@ -250,10 +250,10 @@ def _planned_poses(material: Material) -> list[Block]:
 
 
 def _bound_words(certificate: Certificate) -> str:
-    """Say how much better other poses could be."""
+    """Return sentences on the bound of what other poses could gain."""
     what = "the parameters' standard deviations" if certificate.criterion == "parameters" else "that standard deviation"
     gained = certificate.refined_percent
-    moved = "" if gained is None else f" Moved between the candidates, these are better by {gained:.2g} %."
+    moved = "" if gained is None else f" Refined between the candidates, these are better by {gained:.2g} %."
     return (
         f"No other choice of {certificate.n_poses} of these {certificate.n_candidates:,} candidates makes {what} smaller by "
         f"more than {certificate.could_gain_percent:.2g} % (equivalence theorem).{moved}"
@@ -271,7 +271,7 @@ def _first_poses(poses: pd.DataFrame, robot: Robot) -> list[Block]:
     ]  # fmt: skip
     return [
         Heading("The first poses to measure"),
-        Paragraph("All poses, with the side from which each joint is to arrive, are in select/poses.csv.", keep=True),
+        Paragraph("All poses, with the side from which each joint approaches, are in select/poses.csv.", keep=True),
         Table(head, rows, "r" * len(head), size=7.6 if len(joints) > 6 else 8.4),
     ]
 
@@ -280,7 +280,7 @@ POSES_SECTION = Section(70, "Planned poses", "select/certificate.json", _planned
 
 
 def _worth_of_additions(material: Material) -> list[Block]:
-    """Tabulate the additions, the one that gains most first."""
+    """Tabulate the additions in descending order of gain."""
     rows = material.results.rows(WORTH_TABLE, Worth)
     cells = [
         [first_up(row.addition) or "As planned", str(row.n_poses), str(row.n_points), mm(row.expected_sd_mm),
@@ -288,7 +288,7 @@ def _worth_of_additions(material: Material) -> list[Block]:
          ", ".join(f"{cut(name)} {number(fall, '.0f')} %" for name, fall in zip(row.parameters, row.falls_percent, strict=True))]
         for row in rows
     ]  # fmt: skip
-    head = ["addition", "poses", "points", "tool sd [mm]", "less by", "what gains most (its sd less by)"]
+    head = ["addition", "poses", "points", "tool sd [mm]", "lower by", "parameters that gain most (sd lower by)"]
     return [Paragraph(ADDITIONS, keep=True), Table(head, cells, "lrrrrl", wide=0, size=8.4)]
 
 
@@ -296,7 +296,7 @@ WORTH_SECTION = Section(72, "What one more thing is worth", WORTH_TABLE, _worth_
 
 
 def _measuring_order(material: Material) -> list[Block]:
-    """Tabulate what each drift would pull in each order."""
+    """Tabulate the bias by each drift in each order."""
     rows = material.results.rows(ORDER_TABLE, DriftPull)
     poses = material.tables["select/poses.csv"]
     cells = [
@@ -304,7 +304,7 @@ def _measuring_order(material: Material) -> list[Block]:
          mm(row.tool_pull_mm), f"{row.parameter}: {row.pull_sd:.1f} sd"]
         for row in rows
     ]  # fmt: skip
-    head = ["order", "travel", "what drifts", "moves the tool by [mm]", "parameter most affected"]
+    head = ["order", "travel", "drift", "bias of the tool [mm]", "most biased parameter"]
     via = [Paragraph(VIAS)] if any(str(name).startswith("via") for name in poses) else []
     return [Paragraph(DRIFTS, keep=True), Table(head, cells, "lrlrl", wide=4), *via]
 

@@ -1,4 +1,4 @@
-"""The posterior: whether its samples can be trusted, how it differs from the approximation, and whether its predictions hold."""
+"""Posterior: convergence of its chains, comparison with the Laplace approximation, and influence of the prior."""
 
 from __future__ import annotations
 
@@ -27,29 +27,29 @@ from calflow.sampling.posterior import ChainSummary, told_by_prior
 
 BINS = 32
 SMOOTH = 0.7  # bins, of the density in a pair
-SHARES = (0.95, 0.68)  # of the posterior inside a contour
+SHARES = (0.95, 0.68)  # of the posterior within contours
 SHOWN_STEPS = 600
 TRACED, PAIRED = 3, 6  # parameters in the figures
 CORNER_DRAWS = 40_000
-TOLD_DRAWS = 2_000  # of the draws in the figure, in its data
+SAVED_DRAWS = 2_000  # of the figure's draws, in its data
 INTRODUCTION = (
-    "The standard deviations of the fit assume that errors add up linearly and that no bound is near. Sampling collects parameter "
-    "sets within the bounds that agree with the data as well as the noise allows. Agreement of the two is the check."
+    "The standard deviations of the fit assume a linear model and no bound nearby. Markov chains (MCMC) sample the posterior "
+    "within the bounds. Agreement of the two confirms the standard deviations."
 )
-LINEAR = " Since the model leaves smooth errors, errors add up linearly here too."
+LINEAR = " As this model has smooth errors, it is linearised for the sampling too."
 TRACES = (
     "The parameters that mix worst. Thick lines: median over the walkers of each ensemble; thin: the middle 95 %. Level "
-    "bands that lie on each other show that the ensembles agree and were long enough."
+    "bands that coincide show that the ensembles agree and are long enough."
 )
 CORNER = (
-    "Posterior of parameters at a bound and of those most correlated: grey is density, lines hold 68 % and 95 %. Narrow "
-    "slanted shapes are pairs of which only a combination is known."
+    "Posterior of parameters at a bound and of those most correlated: grey is density, lines enclose 68 % and 95 %. Narrow "
+    "slanted shapes are pairs of which only a combination is determined."
 )
 HELD = (
-    "Held at their estimates, having too many parameters to sample: {}. What is not known of them is not in the sampled "
-    "standard deviations."
+    "Fixed at their estimates, having too many parameters to sample: {}. Their uncertainty is not in the sampled standard "
+    "deviations."
 )
-NOISE = "The noise itself was sampled too: {:.2f} times what the fit used (95 % between {:.2f} and {:.2f})."
+NOISE = "The sampled noise is {:.2f} times that of the fit (95 % interval {:.2f} to {:.2f})."
 
 
 def traces(steps: np.ndarray, chain: np.ndarray, labels: Sequence[str], discard: int) -> Figure:
@@ -77,7 +77,7 @@ def traces(steps: np.ndarray, chain: np.ndarray, labels: Sequence[str], discard:
 def corner(draws: np.ndarray, labels: Sequence[str]) -> Figure:
     """Draw the posterior of every pair of parameters; draws has shape (n_draws, n_parameters).
 
-    Grey is density; the lines hold 68 % and 95 %.
+    Grey is density; the lines enclose 68 % and 95 %.
     """
     n = len(labels)
     drawn = figure(0.4 + 0.68 * n, 0.5 + 0.85 * n)
@@ -96,7 +96,7 @@ def corner(draws: np.ndarray, labels: Sequence[str]) -> Figure:
             axes.locator_params(nbins=3)
             axes.tick_params(labelsize=6)
             axes.tick_params("x", labelrotation=30)
-            # Ticks that are not shown would be made, placed and measured too.
+            # Hidden ticks would be laid out too.
             if i < n - 1:
                 axes.set_xticks([])
             if j > 0 or i == 0:
@@ -122,7 +122,7 @@ def _density(axes: Axes, x: np.ndarray, y: np.ndarray) -> None:
 
 @dataclass(frozen=True)
 class ThinnedChain:
-    """Walkers in round coordinates, shape (n_ensembles, n_shown, n_walkers, n_dimensions), at these steps."""
+    """Walkers in the coordinates of the sampling, shape (n_ensembles, n_shown, n_walkers, n_dimensions), at some steps."""
 
     posterior: LogPosterior
     walkers: np.ndarray
@@ -155,14 +155,14 @@ class ThinnedChain:
 
 
 def _posterior(material: Material) -> list[Block]:
-    """Show mixing, the comparison with Laplace's approximation and the pairs that are not simply normal."""
+    """Tabulate the checks, and draw traces and correlated pairs."""
     posterior, summary = material.tables["sample/posterior.csv"], material.chain_summary
     model, held = material.sampled
     free = ~model.at_bound
     ratio = posterior["sd"].to_numpy(dtype=float)[: len(free)][free] / np.sqrt(np.diag(model.covariance))[free]
     return [
         Paragraph(INTRODUCTION + LINEAR * bool(model.errors.functions), keep=True),
-        Table(("check", "found", "wanted"), _checks(posterior, ratio, summary), "lll"),
+        Table(("check", "value", "criterion"), _checks(posterior, ratio, summary), "lll"),
         *listing(cut_words(summary)),
         *listing(prior_words(posterior)),
         *([Paragraph(HELD.format(listed([cause_name(cause.id, cause.joint) for cause in held])))] if held else []),
@@ -180,36 +180,34 @@ def _checks(posterior: pd.DataFrame, ratio: np.ndarray, summary: ChainSummary) -
     over = f"{np.nanmin(ratio):.2f} to {np.nanmax(ratio):.2f}" if len(ratio) else "every parameter is at a bound"
     return [
         (
-            "ensembles agree (largest R-hat)",
+            "agreement of ensembles (largest R-hat)",
             f"{worst['rhat']:.4f} ({worst['parameter']})",
             f"below {ENSEMBLES_AGREE:g}",
         ),
-        ("independent samples (smallest)", f"{least['ess']:,.0f} ({least['parameter']})", "some thousand"),
-        ("sampled sd over that of the fit", over, "near 1"),
+        ("effective sample size (smallest)", f"{least['ess']:,.0f} ({least['parameter']})", "thousands"),
+        ("ratio of sampled sd to that of the fit", over, "near 1"),
         *([("length", f"{summary.steps} steps", lengthen(summary))] if summary.missing_steps else []),
     ]
 
 
 def cut_words(summary: ChainSummary) -> list[str]:
-    """Say which parameters' posteriors their bounds cut."""
+    """Return a sentence on the parameters whose posteriors are cut by their bounds."""
     bounds = [
         f"{parameter.parameter} ({rounded(factor * parameter.lower)} to {rounded(factor * parameter.upper)} {unit})"
         for parameter in summary.cut
         for factor, unit in [readable(parameter.unit)]
     ]
-    return (
-        [f"Bounds cut the posterior of {listed(bounds)}: read quantiles there, not the mean and sd."] if bounds else []
-    )
+    return [f"Bounds cut the posterior of {listed(bounds)}: use its quantiles, not its mean and sd."] if bounds else []
 
 
 def prior_words(posterior: pd.DataFrame) -> list[str]:
-    """Say which parameters are what was assumed of them, and which are partly so."""
+    """Return sentences on the parameters that the prior determines, alone or with the data."""
     names = posterior["parameter"].astype(str)
     assumed, both = (names[rows].tolist() for rows in told_by_prior(posterior))
-    this, lies = ("this is", "it lies") if len(assumed) == 1 else ("these are", "they lie")
+    this = "this is" if len(assumed) == 1 else "these are"
     alone = (
-        f"{listed(assumed)}: {this} your prior, not your data. Where {lies} depends on what was assumed beforehand, of the "
-        "parameter or of one it trades with, and hardly on what was measured."
+        f"{listed(assumed)}: {this} your prior, not your data. The estimate depends on the prior of the parameter, or of one "
+        "correlated with it, and hardly on the measurements."
     )
     partly = f"{listed(both)}: prior and data both count; a narrower prior would change the result."
     return [alone] * bool(assumed) + [partly] * bool(both)
@@ -237,12 +235,12 @@ def _chain(material: Material) -> list[Block]:
     if len(pairs) > 1:
         draws = chain.draws(np.array(pairs), CORNER_DRAWS) * factors(pairs)
         drawn = corner(draws, labels(pairs))
-        some = draws[:: max(1, len(draws) // TOLD_DRAWS)]
+        some = draws[:: max(1, len(draws) // SAVED_DRAWS)]
         thinned = pd.DataFrame(some, columns=[name.replace("\n", " ") for name in labels(pairs)])
         width = round(100 * drawn.get_figwidth() / WIDTH)
         rows = [_row(posterior.iloc[k]) for k in pairs]
         blocks += [
-            Heading("Parameters that go together"),
+            Heading("Correlated parameters"),
             Plot("corner", drawn, CORNER, thinned, width),
             Table(("parameter", "unit", "mean", "sd", "2.5 %", "median", "97.5 %"), rows, "llrrrrr"),
         ]
@@ -250,7 +248,7 @@ def _chain(material: Material) -> list[Block]:
 
 
 def _courses(chain: ThinnedChain, which: Sequence[int], labels: Sequence[str], factors: np.ndarray) -> pd.DataFrame:
-    """Return what the traces show: of each parameter and ensemble, at each step, the median and the middle 95 %."""
+    """Return the data of the traces: median and middle 95 % of each parameter and ensemble at each step."""
     quantiles = np.quantile(chain.values(np.array(which)) * factors, [0.025, 0.5, 0.975], axis=2)
     tables = []
     for e, k in np.ndindex(quantiles.shape[1], len(labels)):
@@ -261,7 +259,7 @@ def _courses(chain: ThinnedChain, which: Sequence[int], labels: Sequence[str], f
 
 
 def corner_names(outcome: RunOutcome) -> list[str]:
-    """Return the parameters worth a look in pairs: at a bound, then the most correlated, then the last effect's; six at most."""
+    """Return up to six parameters to show in pairs: at a bound, then most correlated, then of the last effect."""
     parameters = outcome.fitted_parameters
     names = [row.parameter for row in parameters if row.at_bound][:2]
     names += [name for pair in outcome.correlations for name in (pair.first, pair.second)]
@@ -273,7 +271,7 @@ def corner_names(outcome: RunOutcome) -> list[str]:
 
 
 def short_names(parameters: Sequence[Parameter]) -> list[str]:
-    """Return names for a figure's axis: part and symbol where these are clear, else a parameter's whole name."""
+    """Return names for a figure's axis: part and symbol where unique, else a parameter's full name."""
     short = [f"{parameter.part}.{parameter.symbol}" for parameter in parameters]
     return [
         cut(name if short.count(name) == 1 else parameter.name)

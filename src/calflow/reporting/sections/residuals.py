@@ -1,4 +1,4 @@
-"""Residuals: where the model is still wrong, in the workspace and along each joint, and which rows do not fit."""
+"""Residuals: in the workspace, along each joint, and of outlying rows."""
 
 from __future__ import annotations
 
@@ -39,23 +39,20 @@ from calflow.robot.mechanism import reading_columns, reading_labels, shown_readi
 
 BINS = 12  # of the running mean
 FLAGGED_ROWS_SHOWN = 15  # flagged rows in the table
-DRAWN = 700  # arrows in the workspace that can still be told apart
-POSED = 200  # poses at which a page draws the robot
+DRAWN = 700  # arrows in the workspace at most, to be distinguishable
+POSED = 200  # poses at which the page can draw the robot
 INTRODUCTION = (
-    "What the calibrated model still gets wrong: predicted minus measured position. Noise points in all directions. Neighbours "
-    "that point the same way, or a trend along a joint, mean that the model lacks a cause."
+    "Residuals of the calibrated model: predicted minus measured. Noise has no preferred direction. Neighbours with alike errors, "
+    "or a trend along a joint, mean that the model lacks a cause."
 )
-PLACE = (
-    "Size of the errors against reach, height and the order of the rows; a trend along the rows may be warm-up or a "
-    "moved device."
-)
+PLACE = "Size of the errors against reach, height and row; a trend over the rows may be warm-up or a moved device."
 JOINTS = (
     "Errors against each joint reading. Open circles: used for the fit; triangles: held out; line: mean of neighbouring "
     "rows, flat and near zero where nothing is missing."
 )
 NO_FIT = (
-    "Their errors are too large for noise and for the spread of the others, or far beyond what is promised. Some look small only "
-    "because the row pulls the fit towards itself."
+    "Outliers: their errors are too large for the noise and the spread of the others, or far beyond their 95 % limit. Some look "
+    "small because the row has high leverage on the fit."
 )
 
 
@@ -109,9 +106,9 @@ def in_workspace(
 def against(
     errors: Mapping[str, np.ndarray], along: Mapping[str, np.ndarray], held: np.ndarray, shown: np.ndarray
 ) -> Figure:
-    """Draw errors (n_rows,), nan where a row has none, against quantities (n_rows,), each by what its axis is labelled.
+    """Draw errors (n_rows,), nan where a row has none, against quantities (n_rows,); keys are axis labels.
 
-    shown are the rows that get a dot; the mean is that of all.
+    shown: the rows with a dot; the mean is that of all.
     """
     several = len(errors) > 1
     drawn, grid = panels(len(errors), len(along), max(2.1, 1.3 * len(errors)), sharey=True, sharex="col")
@@ -134,7 +131,7 @@ def against(
 
 
 def running_mean(axes: Axes, x: np.ndarray, y: np.ndarray) -> None:
-    """Draw the mean of y in bins of x that hold about equally many rows; rows with the same x stay together."""
+    """Draw the mean of y in bins of x with about equally many rows; rows with equal x share a bin."""
     shares = np.linspace(0, 1, min(BINS, len(x) // 5) + 1)[1:-1]
     edges = np.unique(np.quantile(x, shares)) if len(x) >= 10 else np.array([])
     bins = np.searchsorted(edges, x, side="left")
@@ -146,7 +143,7 @@ def running_mean(axes: Axes, x: np.ndarray, y: np.ndarray) -> None:
 
 
 def _residuals(material: Material) -> list[Block]:
-    """Show the errors of the calibrated model in space, against joints and place, and the rows that stand out."""
+    """Draw the residuals against place, in space and against joints, and tabulate outlying rows."""
     shown = _shown(material)
     some = f" {len(shown)} of {len(material.data)} rows are shown." if len(shown) < len(material.data) else ""
     drawn = material.drawn_words
@@ -168,7 +165,7 @@ def _residuals(material: Material) -> list[Block]:
 
 
 def by_row(material: Material) -> pd.DataFrame:
-    """Return what the figures show of each row drawn: which it is, where it was, its joints' readings and its errors."""
+    """Return the figures' data: name, position, joint readings and errors of each row drawn."""
     robot, table = material.data.robot, material.data.table
     place = {f"{axis}_mm": 1e3 * material.place[:, k] for k, axis in enumerate("xyz")}
     joints = shown_readings(robot, material.data.joints)
@@ -233,18 +230,18 @@ def _directed(material: Material) -> bool:
 
 
 def _factor(material: Material) -> float:
-    """How many times errors are enlarged."""
+    """Return the magnification of the errors."""
     return magnification(1e3 * material.place, material.error) if _directed(material) else 1.0
 
 
 def _shown(material: Material) -> np.ndarray:
-    """Which of the rows drawn are shown in the workspace."""
+    """Return the indices, among the rows drawn, of those shown in the workspace."""
     n = len(material.drawn)
     return np.unique(np.linspace(0, n - 1, DRAWN).astype(int))
 
 
 def _scene(material: Material, shown: np.ndarray) -> Scene:
-    """Return the errors in space, with the robot at the poses that they are of."""
+    """Return the interactive view of the errors, with the robot at their poses."""
     calibrated, rows = material.calibrated, material.drawn[shown]
     robot, pose = calibrated.model.robot, material.data.table["pose"].to_numpy()[rows]
     poses, first = np.unique(pose, return_index=True)
@@ -260,7 +257,7 @@ def _scene(material: Material, shown: np.ndarray) -> Scene:
 
 
 def _components(material: Material) -> dict[str, np.ndarray]:
-    """The errors' parts (n_rows,) by their names and units, nan where a row does not have one."""
+    """Return the components of the errors (n_rows,) by axis label, nan where a row does not have one."""
     parts = {f"d{axis} [mm]": error for axis, error in zip("xyz", material.error.T, strict=True)}
     parts["length [mm]"] = material.length_error
     if material.unit != METRE:
@@ -273,7 +270,7 @@ def _flagged(material: Material) -> list[Block]:
     flagged = rows[rows["flagged"].astype(bool)].sort_values("error", ascending=False)
     if flagged.empty:
         return [
-            Paragraph("No single row stands out. Series of rows that are off alike are left to the search for causes.")
+            Paragraph("No single row is an outlier. Several rows with alike errors are left to the search for causes.")
         ]
     cells = [
         (*(str(row[name]) for name in ("line", "pose", "repeat", "marker")),

@@ -1,4 +1,4 @@
-"""The task: how far off the tool may be where the robot works, in space and along a path, and whether that is enough."""
+"""Task: the tool's predicted error where the robot works, in space and along a path, against the tolerances."""
 
 from __future__ import annotations
 
@@ -19,31 +19,31 @@ from calflow.reporting.section import Section
 from calflow.reporting.style import ALONE, figure, shade, shades, view
 from calflow.sampling.task_points import LIKELY, TaskSummary
 
-ALMOST_CERTAIN = 0.999  # probability from which no further digits are told
+ALMOST_CERTAIN = 0.999  # probability above which no further digits are stated
 VIEWS = (((0, 1), "from above"), ((0, 2), "from the side"), ((1, 2), "from the front"))
-MAPS = 3  # payloads that have a line of maps, the least sure ones
+MAPS = 3  # payloads with a row of maps, those with the largest radius
 WORST_POINTS = 5  # points in the table
-WORST_HEADER = ("least sure points", "payload", "nominal [mm]", "95 % [mm]", "95 % [mrad]", "within")
-PATH = "Along the path: what errors are below with 95 % probability."
-MAP = "Radius in which the tool is with 95 % probability; of points behind each other the largest."
+WORST_HEADER = ("least certain points", "payload", "nominal [mm]", "95 % [mm]", "95 % [mrad]", "within")
+PATH = "95 % limits of the errors along the path."
+MAP = "Radius that contains the tool with 95 % probability; of points behind each other the largest."
 INTRODUCTION = (
-    "How far the tool may be from where the calibrated model says it is, by draws of the parameters and of what the model lacks. "
-    "The robot itself is as accurate only with corrected commands."
+    "Distance of the tool from where the calibrated model predicts it, by draws of the parameters and of the model's own errors. "
+    "The robot is as accurate only with corrected commands."
 )
 TOGETHER = (
-    "Where two probabilities are given that all points are within, one takes what the model lacks as a separate error at every "
-    "pose, the other as the same error at all of them. Which is nearer the truth is not known."
+    "Of two probabilities that all points are within, one takes the model's own errors as independent at every pose, the other as "
+    "equal at all of them. Which is nearer the truth is not known."
 )
 
 
-def asked(task: TaskSummary) -> str:
-    """Say what is asked of it."""
+def tolerances(task: TaskSummary) -> str:
+    """Return the tolerances in words."""
     limits = ((task.tolerance_mm, "mm"), (task.turn_tolerance_mrad, "mrad"))
     return " and ".join(f"{mm(limit)} {unit}" for limit, unit in limits if limit is not None)
 
 
 def answer(task: TaskSummary) -> str | None:
-    """Say in a sentence or two whether the task's tolerances are met; None where none is asked."""
+    """Return a sentence or two on whether the task's tolerances are met; None where there are none."""
     if task.likely_points is None or task.all_within is None or task.all_within_alike is None:
         return None
     where = "points of the path" if task.in_order else "points of the task"
@@ -51,21 +51,21 @@ def answer(task: TaskSummary) -> str | None:
     low, high = map(_chance, together)
     chances = low if low == high else f"{low} to {high}"
     sentence = (
-        f"Task: {task.likely_points} of {task.points} {where} are within {asked(task)} with at least {100 * LIKELY:.0f} % "
+        f"Task: {task.likely_points} of {task.points} {where} are within {tolerances(task)} with at least {100 * LIKELY:.0f} % "
         f"probability{_apart(task)}. All of them together: {chances}."
     )
     return sentence + (f" {strange(task)}" if task.beyond_measured else "")
 
 
 def _apart(task: TaskSummary) -> str:
-    """Say how many points meet each of two tolerances alone."""
+    """Return words on how many points meet each of two tolerances alone."""
     if task.likely_positions is None or task.likely_turns is None:
         return ""
     return f" ({task.likely_positions} in position alone, {task.likely_turns} in orientation alone)"
 
 
 def _chance(probability: float) -> str:
-    """Say a probability that draws tell to about a per cent."""
+    """Return a probability, estimated by draws to about a per cent."""
     if probability > ALMOST_CERTAIN:
         return f"more than {100 * ALMOST_CERTAIN:.1f} %"
     if probability < 1 - ALMOST_CERTAIN:
@@ -76,8 +76,8 @@ def _chance(probability: float) -> str:
 def task_map(place: np.ndarray, radius: np.ndarray, groups: Sequence[tuple[str, np.ndarray]]) -> Figure:
     """Draw the radius (n_points,) [mm] over places (n_points, 3) [m] from three sides; the darker, the larger.
 
-    groups are payloads and which points (n_points,) are under them, a line of maps each. Where points are many, a cell shows the
-    largest radius of those that lie behind each other in it.
+    groups: payloads and masks (n_points,) of their points, a row of maps each. Many points are reduced to cells, each of which
+    shows the largest radius in it.
     """
     dark = shades(0.1)
     norm = Normalize(radius.min(), radius.max() if np.ptp(radius) > 0 else radius.min() + 1e-6)
@@ -93,7 +93,7 @@ def task_map(place: np.ndarray, radius: np.ndarray, groups: Sequence[tuple[str, 
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """A quantity along a path (n_points,): an axis' words, and the tolerance in the same unit, None where none is asked."""
+    """A quantity along a path (n_points,), its axis label, and the tolerance in the same unit, None where there is none."""
 
     words: str
     limit: np.ndarray
@@ -101,7 +101,7 @@ class Course:
 
 
 def path_figure(courses: Sequence[Course], groups: Sequence[tuple[str, np.ndarray]]) -> Figure:
-    """Draw quantities in the order of a path's points, below each other; groups are as for `task_map`, a line each."""
+    """Draw quantities along a path, below each other; groups as for `task_map`, a line each."""
     drawn = figure(1.9 * len(courses) + 0.2)
     grid = drawn.subplots(len(courses), 1, squeeze=False, sharex=True)[:, 0]
     for axes, course in zip(grid, courses, strict=True):
@@ -117,7 +117,7 @@ def path_figure(courses: Sequence[Course], groups: Sequence[tuple[str, np.ndarra
 
 
 def _task(material: Material) -> list[Block]:
-    """Show errors over the task, and what is probable."""
+    """State whether the tolerances are met, and tabulate and draw the errors over the task."""
     if (task := material.task) is None:
         return []
     table = material.tables["sample/task.csv"]
@@ -141,8 +141,8 @@ def _sizes(table: pd.DataFrame) -> list[tuple[str, str, str]]:
     return [
         row("error of the nominal robot", "nominal_mm", "mm"),
         row("expected error of the calibrated one", "expected_mm", "mm"),
-        row("95 % of errors are below", "radius95_mm", "mm"),
-        row("95 % of turns are below", "turn95_mrad", "mrad"),
+        row("95 % limit of the error", "radius95_mm", "mm"),
+        row("95 % limit of the orientation error", "turn95_mrad", "mrad"),
     ]
 
 
@@ -156,7 +156,7 @@ def _pictures(task: TaskSummary, table: pd.DataFrame) -> list[Block]:
     if task.in_order:
         parts = [
             Course("position [mm]", table["radius95_mm"].to_numpy(dtype=float), task.tolerance_mm),
-            Course("turn [mrad]", table["turn95_mrad"].to_numpy(dtype=float), task.turn_tolerance_mrad),
+            Course("orientation [mrad]", table["turn95_mrad"].to_numpy(dtype=float), task.turn_tolerance_mrad),
         ]
         blocks.append(Plot("task_path", path_figure(parts, groups), PATH, table))
     return blocks

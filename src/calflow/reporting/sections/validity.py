@@ -1,7 +1,4 @@
-"""Validity: where, and until when, the calibrated model keeps what page one promises.
-
-The promise: by how much the calibrated robot is expected to miss poses, where it works and within its joints' limits.
-"""
+"""Validity: the calibrated robot's expected error where it works, over the joint limits, and later."""
 
 from __future__ import annotations
 
@@ -28,7 +25,7 @@ from calflow.measurements.measurements import Measurements
 from calflow.reporting.blocks import Block, Paragraph, Plot
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
-from calflow.reporting.style import DARK, crowded, panels, shade, shades
+from calflow.reporting.style import crowded, panels, shade, shades
 
 DRAWN_POSES = 600  # drawn within the joints' limits, or in a region
 LATER = {"an hour": 3600.0, "a day": 86400.0}  # s, after the measurement
@@ -53,9 +50,9 @@ class _Region(FileModel):
 
 @dataclass(frozen=True, eq=False)
 class Promised:
-    """What is promised at poses, place (n, 3) [m]: error (n,) [m], and the nominal robot's.
+    """Expected errors (n,) [m] at poses, place (n, 3) [m], and nominal, the distance to the nominal robot (n,) [m].
 
-    outside (n,) are poses of which a joint was not measured there; where says which poses they are.
+    outside (n,): mask of poses with a joint beyond its measured range; where: which poses, in words.
     """
 
     place: np.ndarray
@@ -66,14 +63,14 @@ class Promised:
 
     @staticmethod
     def of(calibrated: CalibratedModel, data: Measurements) -> Promised:
-        """Draw poses within the joints' limits, under the first payload and for the first marker that were measured."""
+        """Return the expected errors at random poses within the joints' limits, with the first payload and marker measured."""
         return _drawn(calibrated, data, None, "within the joints' limits")
 
     @staticmethod
     def at_work(calibrated: CalibratedModel, data: Measurements, planned: Mapping[str, Any]) -> Promised:
-        """Return the promise in the box where the study plans poses, else at the poses that were measured.
+        """Return the expected errors in the region where the study plans poses, else at the poses that were measured.
 
-        planned are the settings of the stage select.
+        planned: the settings of the stage select.
         """
         box = {
             key: value for key, value in {**planned, **planned.get("task", {})}.items() if key.startswith("region_m")
@@ -86,7 +83,7 @@ class Promised:
 
     @property
     def words(self) -> str:
-        """The figures in words."""
+        """The expected errors in words."""
         middle, most = (1e3 * float(np.quantile(self.error, share)) for share in (0.5, 0.95))
         sentence = (
             f"Expected error at poses {self.where}: at most {mm(middle)} mm at half of the poses, {mm(most)} mm at 95 in 100 (root "
@@ -121,7 +118,7 @@ def _promised_at(calibrated: CalibratedModel, conditions: np.ndarray, outside: n
 
 
 def later_words(calibrated: CalibratedModel, data: Measurements) -> str:
-    """Say what becomes of the promise at poses that were measured, later; empty where no time is known."""
+    """Return a sentence on the expected errors at the measured poses later on; empty where no time is known."""
     rows = data.only(data.train)
     if "time" not in calibrated.model.given:
         return ""
@@ -133,7 +130,7 @@ def later_words(calibrated: CalibratedModel, data: Measurements) -> str:
         for moment in (rows, *moments)
     ]
     words = ", ".join(f"{mm(value)} mm {name} later" for name, value in zip(LATER, later[1:], strict=True))
-    return f"At the measured poses: {mm(later[0])} mm then, {words}, as seen from where the instrument stands."
+    return f"At the measured poses: {mm(later[0])} mm then, {words}, in the instrument's frame."
 
 
 def from_the_side(material: Material, place: np.ndarray) -> np.ndarray:
@@ -144,7 +141,7 @@ def from_the_side(material: Material, place: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Map:
-    """Sizes (n,) [mm] at places as they are seen (n, 2) [m], along two axes; crosses mark others (n, 2)."""
+    """Sizes (n,) [mm] at places in a plane, seen (n, 2) [m], with axis labels; crosses (n, 2) mark other places."""
 
     title: str
     labels: tuple[str, str]
@@ -154,7 +151,7 @@ class Map:
 
 
 def maps(several: Sequence[Map], label: str) -> Figure:
-    """Draw maps beside each other, each with its own scale; label says what sizes are."""
+    """Draw maps beside each other, each with its own scale; label: that of the sizes."""
     drawn, (grid,) = panels(1, len(several), 2.7)
     dark = shades(0.05)
     for axes, shown in zip(grid, several, strict=True):
@@ -163,7 +160,8 @@ def maps(several: Sequence[Map], label: str) -> Figure:
         shade(axes, shown.seen, shown.size, dark, norm)
         if shown.crosses is not None:
             size = 1.5 * crowded(len(shown.crosses))
-            axes.scatter(*shown.crosses.T, marker="x", color=DARK, s=size, linewidths=0.5)
+            for colour, width in (("white", 1.5), ("black", 0.6)):  # visible on any shade
+                axes.scatter(*shown.crosses.T, marker="x", color=colour, s=size, linewidths=width)
         axes.set(title=shown.title, xlabel=shown.labels[0], ylabel=shown.labels[1])
         axes.set_aspect("equal", adjustable="datalim")
         drawn.colorbar(ScalarMappable(norm, dark), ax=axes, fraction=0.06, pad=0.02, extend="max", label=label)
@@ -171,14 +169,14 @@ def maps(several: Sequence[Map], label: str) -> Figure:
 
 
 def before_and_now(material: Material, shown: Promised) -> Figure:
-    """Draw how far the nominal robot is off, and what is promised of the calibrated one, from the side."""
+    """Draw the nominal robot's error and the calibrated one's expected error, from the side."""
     seen = from_the_side(material, shown.place)
     sides = {"before: nominal robot": shown.nominal, "now: expected of the calibrated robot": shown.error}
     return maps([Map(title, SIDE, seen, 1e3 * size) for title, size in sides.items()], "error [mm]")
 
 
 def over_the_workspace(material: Material, shown: Promised) -> Figure:
-    """Draw what is promised over the workspace, from the side and from above, and where it was measured."""
+    """Draw the expected errors over the workspace, from the side and from above, with the measured poses."""
     size = 1e3 * shown.error
     side, measured = (from_the_side(material, place) for place in (shown.place, material.place))
     views = [
@@ -189,19 +187,19 @@ def over_the_workspace(material: Material, shown: Promised) -> Figure:
 
 
 def as_rows(shown: Promised) -> pd.DataFrame:
-    """Return a promise as a table for whoever wants a figure's numbers."""
+    """Return the data of a figure."""
     return pd.DataFrame(shown.place, columns=["x_m", "y_m", "z_m"]).assign(
         promised_mm=1e3 * shown.error, nominal_mm=1e3 * shown.nominal, beyond_measured=shown.outside
     )
 
 
 def promises(outcome: RunOutcome) -> bool:
-    """Whether anything is promised in millimetres: some lengths were measured."""
+    """Whether errors are expected in millimetres: some lengths were measured."""
     return outcome.summary.new_poses_mm is not None
 
 
 def _region(material: Material) -> list[Block]:
-    """Show what the calibration gains where the robot works."""
+    """State and draw the errors before and after calibration where the robot works."""
     shown = Promised.at_work(material.calibrated, material.data, material.settings.get("select", {}))
     off = f"The nominal robot is off by {rms_mm(shown.nominal)} mm there."
     caption = IN_REGION.format(where=shown.where)
@@ -212,7 +210,7 @@ def _region(material: Material) -> list[Block]:
 
 
 def _validity(material: Material) -> list[Block]:
-    """Say where and until when the promise holds, and show where it is how good."""
+    """State and draw the expected errors within the joints' limits, and state those later on."""
     shown = Promised.of(material.calibrated, material.data)
     later = later_words(material.calibrated, material.data)
     caption = CAPTION.format(poses=plural(len(shown.place), "pose"))

@@ -50,7 +50,7 @@ from calflow.reporting.sections.acceptance import (
 )
 from calflow.reporting.sections.task import answer
 from calflow.reporting.sections.validity import promises
-from calflow.reporting.style import ACCENT, DARK, MIDDLE, figure, mark_floor
+from calflow.reporting.style import ACCENT, DARK, LIGHT, figure, mark_floor
 
 NOISE_UNKNOWN = "its noise is not known, so its share of the error is not known either"
 ALL_KNOWN = "Nothing: the data determine every parameter."
@@ -73,8 +73,8 @@ LIKELIER = 0.5  # probability below which a finding is more likely one of its ri
 RIVALS = 3  # rivals of a finding named on the first page
 PARAMETERS_NAMED = 4  # parameters of a trade that the first page names
 WHAT_FOLLOWS = (
-    "The pages before this one say what was asked and found. The following are for whoever checks, continues or repeats the "
-    "calibration: the error left at each pose, the search for causes, every parameter, and how certain all of that is."
+    "The pages before this one have the result. The following are for whoever checks, continues or repeats the calibration: the "
+    "error left at each pose, the search for causes, every parameter, and how certain all of that is."
 )
 FOR_EXPERTS = "For experts"
 
@@ -185,13 +185,11 @@ def pose_errors(material: Material, limits: pd.Series | None = None) -> Plot:
     """
     drawn, unit, largest = figure(2.6, 3.3), material.certainty.unit, material.largest
     axes, verdict, edges = drawn.add_subplot(), held_against_tolerance(material), np.arange(len(largest) + 1) + 0.5
-    axes.stairs(largest, edges, fill=True, color=DARK, label="largest error of each pose")
+    axes.stairs(largest, edges, fill=True, facecolor=LIGHT, edgecolor=DARK, label="largest error of each pose")
     numbers = largest.rename_axis("pose").rename(f"largest_error_{unit}").to_frame()
     if limits is not None:
         numbers[f"promised_{unit}"] = promised = limits.reindex(largest.index)
-        axes.stairs(
-            promised, edges, baseline=None, color=MIDDLE, linewidth=1.2, label=f"promised for {percent(PROMISED)}"
-        )
+        axes.stairs(promised, edges, baseline=None, color="black", linewidth=1.2, label=f"{percent(PROMISED)} limit")
     mark_floor(axes.axhline, material.certainty.noise_floor, unit)
     if verdict:
         axes.axhline(verdict.tolerance, color=ACCENT, linewidth=1.6, label=f"tolerance: {mm(verdict.tolerance)} mm")
@@ -232,7 +230,7 @@ def headline(outcome: RunOutcome) -> str:
 
 
 def foremost(outcome: RunOutcome) -> list[str]:
-    """Say what a reader must know before any cause: a contradicted noise, and that the model leaves more than its noise."""
+    """Return sentences on a contradicted noise and on a lack of fit, which precede any cause."""
     doubts = outcome.summary.noise_doubts
     sentences = (*(doubt.statement for doubt in doubts), outcome.lack_of_fit_words)
     return [sentence for sentence in sentences if sentence]
@@ -347,6 +345,7 @@ def open_questions(outcome: RunOutcome) -> list[str]:
 
 
 def statement_words(statement: Statement) -> str:
+    """Return a statement of identifiability as a sentence."""
     if statement.kind == "trade":
         return f"{trade_words(statement.parameters, statement.weights, statement.wholly)}."
     if statement.kind == "scale":
@@ -398,10 +397,7 @@ def tested_words(certainty: Certainty) -> str:
         f" That is few (chance: {chance(so_few)})." if so_few < RARE else
         " That may be chance." if within < PROMISED * tested and so_few < EVEN else ""
     )  # fmt: skip
-    return (
-        f"{within} of {tested} held-out errors ({percent(within / tested)}) are within the promised limits, which are to hold for "
-        f"{percent(PROMISED)}.{few}"
-    )
+    return f"{within} of {tested} held-out errors ({percent(within / tested)}) are within their {percent(PROMISED)} limits.{few}"
 
 
 VERDICT_SECTION = Section(0, "Verdict", "identify/certainty.json", _first_page)
