@@ -120,6 +120,21 @@ def test_faults_of_two_kinds_are_told_apart(tmp_path):
     assert lines_of(found) == sealed
 
 
+@pytest.mark.parametrize("column", ["q4", "y"])
+def test_rows_are_put_right_behind_a_mistake_of_the_whole_table(tmp_path, column):
+    """Fails if a wrong sign hides what corrects single rows, which are then left out as outliers to be measured again."""
+    data, _ = measured(tmp_path, Case(poses=70), 3)
+    table = data.table.copy()
+    place = ["x", "y", "z"]
+    table.loc[3, place] *= 1000
+    table.loc[[10, 30], place] = table.loc[[30, 10], place].to_numpy()
+    after, found = examined(replace(data, table=table.assign(**{column: -table[column]})))
+    assert [fault.action for fault in found] == ["corrected"] * 3
+    assert {fault.cause for fault in found[1:]} == {"unit-mistake", "rows-exchanged"}
+    np.testing.assert_allclose(after.position, data.position, rtol=1e-12)
+    np.testing.assert_array_equal(after.joints, data.joints)
+
+
 def test_without_masses_too(tmp_path):
     """Fails if deflection that the robot file's masses would explain is let stand, so that outliers drown in it."""
     case = Case(

@@ -128,6 +128,16 @@ def test_two_joint_columns_that_are_exchanged(measured):
         examined(with_columns(measured, q4=q["q6"], q6=q["q4"]))
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_change_before_the_first_fitted_row_is_no_fit(measured):
+    """Fails if the size of no errors at all is asked for where all rows before a change are held out."""
+    early = np.arange(len(measured)) < 6
+    table = measured.table.assign(
+        q2=measured.table["q2"] + 0.1 * early, split=measured.table["split"].mask(early, "holdout")
+    )
+    assert [fault.cause for fault in examined(replace(measured, table=table))[1]] == ["row-misalignment"]
+
+
 def test_loads_that_are_named_some_rows_late(measured):
     """Fails if rows are called outliers, a cause in time would be named, or by how many rows is not told."""
     in_turn = measured.table.sort_values("payload", kind="stable").reset_index(drop=True)

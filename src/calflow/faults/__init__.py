@@ -31,9 +31,9 @@ __all__ = ["CHECKS", "PLAIN_CHECKS", "Correction", "Fault", "FaultyRow", "as_tab
 # The searches for one kind of fault each, in order, each on what those before it mended: first those that the rows show by
 # themselves, then those that take what the rows say of one another.
 PLAIN_CHECKS: tuple[Callable[[Measurements], tuple[Fault, ...]], ...] = (duplicate, measured_torque, stated_lens)
-CHECKS: tuple[Callable[[Measurements, Reference], tuple[Fault, ...]], ...] = (
-    exchanged, row_misalignment, encoder_turn, unit_mistake, setup_faults, lost_rows, outlier
-)  # fmt: skip
+Check = Callable[[Measurements, Reference], tuple[Fault, ...]]
+DEFINITE_CHECKS: tuple[Check, ...] = (exchanged, row_misalignment, encoder_turn, unit_mistake)
+CHECKS: tuple[Check, ...] = (*DEFINITE_CHECKS, setup_faults, lost_rows, outlier)
 
 
 def examined(data: Measurements, paths: Sequence[Path] = ()) -> tuple[Measurements, tuple[Fault, ...]]:
@@ -79,16 +79,17 @@ def _searched(data: Measurements) -> tuple[Measurements, tuple[Fault, ...], Setu
 
 def _of_positions(data: Measurements) -> tuple[list[Fault], Setup]:
     """Return the faults of position rows, and the set-up of these rows without them."""
-    setup, faults = Setup.of(data), list[Fault]()
+    setup, faults, checks = Setup.of(data), list[Fault](), [*CHECKS]
     reference = Reference.of(data, setup)
-    for check in CHECKS:
-        if reference is None or any(fault.action == "unsettled" for fault in faults):
-            break
+    while checks and reference and not any(fault.action == "unsettled" for fault in faults):
+        check = checks.pop(0)
         if detected := check(data, reference):
             data = reduce(correct, detected, data)
             faults += detected
             setup = setup.on(data)
             reference = Reference.of(data, setup)
+            if check is setup_faults:  # what it corrected may have hidden what corrects single rows
+                checks = [*DEFINITE_CHECKS, *checks]
     return faults, setup
 
 

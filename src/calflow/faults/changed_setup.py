@@ -183,6 +183,8 @@ def _joint(data: Measurements, as_read: ExplainedSetup, some: Setup) -> Iterator
         return
     _, joint, first = min(steps)
     step, explanation, later = 0.0, as_read, as_read.setup.numbers >= first
+    if later.all() or not later.any():  # no fit would have rows of both sides
+        return
     off = bool(level(as_read.error[later]) > level(as_read.error[~later]))  # the later rows, or those before
     for _ in range(ROUNDS):
         error, lever = _along(explanation, explanation.setup, joint)
