@@ -472,14 +472,14 @@ def test_open_questions_name_what_the_data_leave_open() -> None:
     ],
 )
 def test_leftover_in_words(times: float, words: str) -> None:
-    assert words in leftover(times)
+    assert words in leftover(times, 0.0, "", False, "mm")
 
 
 def test_the_models_own_error_is_told_where_there_is_one() -> None:
-    assert "0.075 mm per axis" in leftover(4.5, 0.0746)
-    assert "own error" not in leftover(4.5, 0.0)
+    assert "0.075 mm per axis" in leftover(4.5, 0.0746, "", False, "mm")
+    assert "own error" not in leftover(4.5, 0.0, "", False, "mm")
     for times in (0.9, float("nan")):
-        assert leftover(times, structure="the angle of joint 2").startswith(
+        assert leftover(times, 0.0, "the angle of joint 2", False, "mm").startswith(
             "a part of it depends on the angle of joint 2, so it is more than noise"
         )
 

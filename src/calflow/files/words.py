@@ -84,6 +84,11 @@ def sureness(probability: float) -> str:
     return f"> {percent(CERTAIN)}" if probability > CERTAIN else percent(probability)
 
 
+def capped(value: float) -> str:
+    """Return a probability estimated from a thousand draws or so, capped by their number."""
+    return "over 0.999" if value > 0.999 else "below 0.001" if value < 0.001 else f"{value:.3f}"
+
+
 def with_sd(value: float, sd: float) -> tuple[str, str]:
     """Return a value and its standard deviation, both rounded to the second significant digit of the latter."""
     if not (math.isfinite(sd) and sd > 0):

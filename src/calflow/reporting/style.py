@@ -80,13 +80,13 @@ def turned(names: Sequence[str]) -> float:
     return LETTER * max(sum(2 if east_asian_width(letter) in "WF" else 1 for letter in name) for name in names)
 
 
-def panels(rows: int, columns: int, height: float, width: float = WIDTH, **sharing: Any) -> tuple[Figure, np.ndarray]:
+def panels(rows: int, columns: int, height: float, **sharing: Any) -> tuple[Figure, np.ndarray]:
     """Return a figure with a grid of axes, shape (rows, columns)."""
-    drawn = figure(height, width)
+    drawn = figure(height)
     return drawn, drawn.subplots(rows, columns, squeeze=False, **sharing)
 
 
-def dots(axes: Axes, x: np.ndarray, y: np.ndarray, held: np.ndarray, size: float, n_panels: int = 1) -> None:
+def dots(axes: Axes, x: np.ndarray, y: np.ndarray, held: np.ndarray, size: float, n_panels: int) -> None:
     """Scatter training rows as open circles and held-out rows as filled triangles; many points are rasterised."""
     picture = n_panels * len(x) > MOST_VECTOR_POINTS
     axes.scatter(x[~held], y[~held], size, facecolors="none", edgecolors=DARK, linewidths=0.2 * size**0.5, rasterized=picture,

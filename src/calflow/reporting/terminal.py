@@ -1,4 +1,4 @@
-"""Output on the terminal: the result of a run, and of a round of the measuring loop."""
+"""Terminal output: the result of a run, and of `calflow next`."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from calflow.deployment.run_outcome import RunOutcome
 from calflow.deployment.usability import judgement
 from calflow.design.next_poses import MeasuringVerdict, Suspect
 from calflow.diagnosis.findings import Finding
-from calflow.files.words import mm, number
+from calflow.files.words import capped, mm, number
 from calflow.reporting.advice import WRONG, advice
 from calflow.reporting.sections.causes import gain_words, shows_gain
 from calflow.reporting.sections.verdict import VERDICT_SECTION, headline, named_steps
 
-SUSPECTS_TOLD, UNTESTED_TOLD = 4, 6  # suspects, and untested causes, listed
+SUSPECTS_LISTED, UNTESTED_LISTED = 4, 6
 HOPELESS = 0.5  # best probability below which more poses of the same kind are not worthwhile
 MEASURES = {"rms": "RMS error", "worst": "worst point"}
 
@@ -78,10 +78,10 @@ def _answer(verdict: MeasuringVerdict) -> str:
     if verdict.tolerance_mm is None or verdict.probability is None:
         return "no tolerance stated (--tolerance-mm, or tolerance_mm in [stages.select]): nothing to stop at"
     within = f"the tool is within {mm(verdict.tolerance_mm)} mm over the task ({MEASURES[verdict.measure]})"
-    sure = f"with probability {_probability(verdict.probability)}"
+    sure = f"with probability {capped(verdict.probability)}"
     if verdict.status == "stop":
         return f"stop: {within} {sure}"
-    return f"go on: {within} {sure}, {verdict.confidence:.0%} is asked for"
+    return f"go on: {within} {sure}, {verdict.confidence:.0%} is required"
 
 
 def _figures(verdict: MeasuringVerdict) -> Iterator[str]:
@@ -98,23 +98,23 @@ def _figures(verdict: MeasuringVerdict) -> Iterator[str]:
     yield f"{verdict.poses} poses, {verdict.fitted_poses} fitted{errors}"
     if not verdict.noise_known:
         yield (
-            "the noise is not known apart from the fit, so all of it counts as the robot's own error. Repeat some poses, or state "
-            "sigma (in its unit, as sigma_mm or sigma_px) in [measurements]"
+            "the noise is not known independently of the fit, so all residuals count as the robot's own error. Repeat some poses, "
+            "or state sigma (in its unit, as sigma_mm or sigma_px) in [measurements]"
         )
     yield from (f"found: {finding}" for finding in verdict.found or ("nothing that the model lacks",))
     if verdict.suspected:
-        more = len(verdict.suspected) - SUSPECTS_TOLD
-        suspects = ", ".join(map(_suspect, verdict.suspected[:SUSPECTS_TOLD]))
+        more = len(verdict.suspected) - SUSPECTS_LISTED
+        suspects = ", ".join(map(_suspect, verdict.suspected[:SUSPECTS_LISTED]))
         yield f"suspected, not proven (probability): {suspects}{f', and {more} more' if more > 0 else ''}"
     if verdict.untested:
-        more = len(verdict.untested) - UNTESTED_TOLD
+        more = len(verdict.untested) - UNTESTED_LISTED
         rest = f", and {more} more, which --out writes to verdict.json" if more > 0 else ""
-        causes = ", ".join(verdict.untested[:UNTESTED_TOLD])
-        yield f"not tested, for want of what they need, and not in the probability: {causes}{rest}"
+        causes = ", ".join(verdict.untested[:UNTESTED_LISTED])
+        yield f"not tested, since data that they need are missing, and not in the probability: {causes}{rest}"
     best = verdict.probability_at_best
     if verdict.status == "measure" and best is not None and best < HOPELESS:
         yield (
-            f"more poses of this kind will hardly help: with every parameter known the probability would be {_probability(best)}. "
+            f"more poses of this kind will hardly help: with every parameter known the probability would be {capped(best)}. "
             "See what is suspected, or allow a wider tolerance"
         )
 
@@ -123,12 +123,7 @@ def _suspect(suspect: Suspect) -> str:
     what = {
         "cause": suspect.name,
         "background": f"a smooth error by {suspect.name}",
-        "pose": "an error of each pose for itself",
+        "pose": "an independent error of each pose",
         "rival": f"{suspect.name} instead of what was found",
     }[suspect.kind]
     return f"{what} ({number(suspect.probability, '.2g')})"
-
-
-def _probability(value: float) -> str:
-    """Return a probability estimated from draws, limited by their number."""
-    return "over 0.999" if value > 0.999 else "below 0.001" if value < 0.001 else f"{value:.3f}"

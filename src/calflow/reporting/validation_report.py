@@ -12,7 +12,7 @@ from matplotlib.ticker import FuncFormatter
 from calflow.deployment.attained import CYCLES
 from calflow.deployment.validation import Status, ValidatedModel, Validation, ValidationSummary
 from calflow.files.units import METRE
-from calflow.files.words import first_up, mm, plural
+from calflow.files.words import capped, first_up, mm, plural
 from calflow.reporting.advice import after_validation
 from calflow.reporting.blocks import NEXT, Bullets, Card, Gap, Paragraph, Part, Plot, Table, cover, headed
 from calflow.reporting.sections.acceptance import FAILED, NOT_YET, PASSED, sign_card
@@ -116,14 +116,9 @@ def _probability(summary: ValidationSummary) -> str:
     decides = f" (asked for: {summary.confidence:g})"
     one, every = ("", decides) if summary.decided_by == "task" else (decides, "")
     return (
-        f"{beyond}A further pose like these is within {asked} with a probability of {_chance(summary.further_within)}{one}, and "
-        f"all of {plural(summary.task_poses, 'such pose')} with {_chance(summary.task_within)}{every}."
+        f"{beyond}A further pose like these is within {asked} with a probability of {capped(summary.further_within)}{one}, and "
+        f"all of {plural(summary.task_poses, 'such pose')} with {capped(summary.task_within)}{every}."
     )
-
-
-def _chance(probability: float) -> str:
-    """Return a probability with enough digits to distinguish it from 0 and 1."""
-    return "over 0.999" if probability > 0.999 else "under 0.001" if probability < 0.001 else f"{probability:.3f}"
 
 
 def _promise(validation: Validation) -> str:

@@ -141,11 +141,6 @@ def sign_card(verdict: str, why: str) -> Card:
     return Card("may it be signed?", verdict, why, LOOKS.get(verdict, "pale"), "")
 
 
-def to_sign(material: Material) -> list[Block]:
-    """Return a sentence on the criterion for signing where no tolerance is stated."""
-    return [] if held_against_tolerance(material) else [Paragraph(NO_TOLERANCE, 11)]
-
-
 def _acceptance(material: Material) -> list[Block]:
     """Return the facts stated by the study, and the verdict."""
     asked = material.request.acceptance

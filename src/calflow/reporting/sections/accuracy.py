@@ -175,9 +175,7 @@ def certainty_words(certainty: Certainty, noise_known: bool) -> str:
     )
 
 
-def leftover(
-    times: float, discrepancy: float = 0.0, structure: str = "", significant: bool = False, unit: str = METRE.label
-) -> str:
+def leftover(times: float, discrepancy: float, structure: str, significant: bool, unit: str) -> str:
     """Return the meaning of a lack-of-fit factor and the model's discrepancy [unit]; a factor of nan is not known.
 
     structure: input on which an unexplained error depends, if any; significant: whether the lack of fit is.

@@ -11,6 +11,7 @@ from calflow.deployment.export import ControllerFigure, controller_figures, robo
 from calflow.deployment.figures_alone import NOT_COMPUTED, Levels
 from calflow.effects.geometry import Geometry
 from calflow.files.words import effect_words, first_up, listed, number
+from calflow.reporting.advice import BY_PRIOR
 from calflow.reporting.blocks import Block, Paragraph, Table, headed
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
@@ -18,7 +19,6 @@ from calflow.robot.formats.controller_files import added_to_readings
 from calflow.robot.frames import LISTED
 from calflow.robot.robot import Robot
 
-BY_PRIOR = 0.5  # prior share from which a figure is left to the prior
 WIDEST = 5  # figures side by side in a table, each with its difference
 BASE_FIGURES = ("x", "y", "z", "rx", "ry", "rz")
 INTRODUCTION = (

@@ -203,7 +203,7 @@ def _line(row: FittedParameter, together: bool) -> tuple[str, ...]:
     return unit, value, deviation, allowed, known_from(row.prior_share, row.at_bound, together)
 
 
-def known_from(prior_share: float, at_bound: bool, together: bool = False) -> str:
+def known_from(prior_share: float, at_bound: bool, together: bool) -> str:
     """Return the source of an estimate in words; together: the data determine it only in combination with others."""
     if at_bound:
         return "at a bound, data say nothing" if prior_share > BY_PRIOR else "data, at a bound"

@@ -25,7 +25,7 @@ from calflow.measurements.measurements import Measurements
 from calflow.reporting.blocks import Block, Paragraph, Plot
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
-from calflow.reporting.style import crowded, panels, shade, shades
+from calflow.reporting.style import crowded, panels, root_mean_square, shade, shades
 
 DRAWN_POSES = 600  # drawn within the joints' limits, or in a region
 LATER = {"an hour": 3600.0, "a day": 86400.0}  # s, after the measurement
@@ -102,7 +102,7 @@ class Promised:
 
 def rms_mm(error: np.ndarray) -> str:
     """Return the root mean square of errors [m] in words [mm]."""
-    return mm(1e3 * float(np.sqrt((error**2).mean())))
+    return mm(1e3 * root_mean_square(error))
 
 
 def _drawn(calibrated: CalibratedModel, data: Measurements, region: np.ndarray | None, where: str) -> Promised:
@@ -125,12 +125,9 @@ def later_words(calibrated: CalibratedModel, data: Measurements) -> str:
     rows = rows.stating(calibrated.model.given)
     end = float(rows.table["time"].max())
     moments = [replace(rows, table=rows.table.assign(time=end + seconds)) for seconds in LATER.values()]
-    later = [
-        1e3 * float(np.sqrt((promised_distance(calibrated, moment.conditions) ** 2).mean()))
-        for moment in (rows, *moments)
-    ]
-    words = ", ".join(f"{mm(value)} mm {name} later" for name, value in zip(LATER, later[1:], strict=True))
-    return f"At the measured poses: {mm(later[0])} mm then, {words}, in the instrument's frame."
+    then, *later = (rms_mm(promised_distance(calibrated, moment.conditions)) for moment in (rows, *moments))
+    words = ", ".join(f"{error} mm {name} later" for name, error in zip(LATER, later, strict=True))
+    return f"At the measured poses: {then} mm then, {words}, in the instrument's frame."
 
 
 def from_the_side(material: Material, place: np.ndarray) -> np.ndarray:

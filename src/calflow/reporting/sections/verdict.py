@@ -40,12 +40,12 @@ from calflow.reporting.material import Material
 from calflow.reporting.section import Section
 from calflow.reporting.sections.acceptance import (
     FAILED,
+    NO_TOLERANCE,
     PASSED,
     held_against_tolerance,
     identity,
     is_simulated,
     simulated,
-    to_sign,
     verdict_card,
 )
 from calflow.reporting.sections.task import answer
@@ -61,7 +61,7 @@ CAPPED = (
     "found."
 )
 FITTED = "used for the fit (none were held out)"
-LEFT_OPEN = 6  # questions on the first page
+LEFT_OPEN, CAUSES_LISTED = 6, 4  # open questions and causes on the first page
 RARE = 0.05  # p-value below which chance is unlikely
 EVEN = 0.5  # p-value above which it is not reported
 CORRECTED = (
@@ -93,7 +93,7 @@ def _first_page(material: Material) -> list[Block]:
     facts = [*simulated(material.request), Paragraph(identity(material.request), 9), Paragraph(_measured(material), 9)]
     return [
         *cover("Calibration report", material.title, facts, judgement(material), sentences, cards, bold=True),
-        *to_sign(material),
+        *([] if held_against_tolerance(material) else [Paragraph(NO_TOLERANCE, 11)]),
         *levels_of_effort(material),
         Gap(10),
         Columns([[pose_errors(material)], [*sure, *([] if unsettled else left_open)]], [1, 1]),
@@ -236,7 +236,7 @@ def foremost(outcome: RunOutcome) -> list[str]:
     return [sentence for sentence in sentences if sentence]
 
 
-def lacked(outcome: RunOutcome, most: int = 4) -> list[str | tuple[str, str]]:
+def lacked(outcome: RunOutcome) -> list[str | tuple[str, str]]:
     """Return a line for each cause that the model lacked, in descending order of gain, those without gain marked."""
     causes = [finding for finding in outcome.findings if finding.is_cause]
     summary = outcome.diagnosis_summary
@@ -251,10 +251,10 @@ def lacked(outcome: RunOutcome, most: int = 4) -> list[str | tuple[str, str]]:
     worth = [pair for pair in named if not _in_vain(pair[0])]
     worth.sort(key=lambda pair: -np.nan_to_num(pair[0].gain[0]))  # a gain that is not known is none
     vain = [name for cause, name in named if _in_vain(cause)]
-    items: list[str | tuple[str, str]] = [(f"{first_up(name)}:", _line(cause)) for cause, name in worth[:most]]
-    if len(worth) > most:
-        rest = listed(list(dict.fromkeys(cause.name for cause, _ in worth[most:])), len(worth))
-        items.append((f"And {plural(len(worth) - most, 'more cause')}:", f"{rest}."))
+    items: list[str | tuple[str, str]] = [(f"{first_up(name)}:", _line(cause)) for cause, name in worth[:CAUSES_LISTED]]
+    if further := worth[CAUSES_LISTED:]:
+        rest = listed(list(dict.fromkeys(cause.name for cause, _ in further)), len(further))
+        items.append((f"And {plural(len(further), 'more cause')}:", f"{rest}."))
     if vain:
         items.append(("In the model, without a gain at held-out poses:", f"{listed(vain, 2)}."))
     if suspected:
