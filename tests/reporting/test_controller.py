@@ -73,7 +73,7 @@ def test_without_anything_else_in_the_model_the_figures_are_worth_as_much(materi
 def test_the_page_holds_every_figure(material: Material) -> None:
     """Fails if a joint or the base is missing, or the section is there without a fitted geometry."""
     tables = [block for block in CONTROLLER_SECTION.write(material) if isinstance(block, Table)]
-    assert [len(table.rows) for table in tables] == [3, 1, 1, 2]
+    assert [len(table.rows) for table in tables] == [3, 3, 1, 1, 2]
     assert tables[0].header[0] == "joint"
     levels, _ = levels_of_effort(material)
     assert [row[1:] for row in levels.rows] == [[mm(level.mean), mm(level.max)] for level in material.levels.every]

@@ -16,10 +16,8 @@ from calflow.reporting.blocks import Block, Paragraph, Table, headed
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
 from calflow.robot.formats.controller_files import added_to_readings
-from calflow.robot.frames import LISTED
 from calflow.robot.robot import Robot
 
-WIDEST = 5  # figures side by side in a table, each with its difference
 BASE_FIGURES = ("x", "y", "z", "rx", "ry", "rz")
 INTRODUCTION = (
     "The calibrated robot in the robot file's convention. Δ is a figure's difference from that file, in brackets where the data do "
@@ -29,10 +27,7 @@ ORDER = {
     "modified-dh": "Each link is Rx(alpha) Tx(a) Ry(beta) Rz(theta + joint) Tz(d).",
     "dh": "Each link is Rz(theta + joint) Tz(d) Tx(a) Rx(alpha) Ry(beta).",
 }
-OWN_FRAMES = (
-    "Each link is shifted by x, y, z along its parent's axes, turned as the robot file says and then by the small rx, ry, rz, and "
-    "turns by theta + joint about its axis."
-)
+OWN_FRAMES = "Each link is at x, y, z in its parent's frame, turned as in the robot file, by rx, ry, rz, and by theta + joint about its axis."
 NO_BETA = " beta turns about y where two axes are nearly parallel; for a controller that has no beta, leave it out."
 WORTH = "Page one has the robot's error with these figures, with fewer, and with corrected commands."
 ANEW = (
@@ -63,6 +58,12 @@ class Figure(ControllerFigure):
         """Whether it is not zero, or was fitted."""
         return bool(self.nominal) or self.fitted
 
+    @property
+    def cells(self) -> tuple[str, str]:
+        """The value and, where it was fitted, the difference, in brackets where the prior determines it."""
+        difference = self.shown(self.difference, "+") if self.fitted else ""
+        return self.shown(self.calibrated), difference if self.determined else f"({difference})"
+
     def shown(self, value: float, sign: str = "") -> str:
         """Return a value as a table shows it."""
         return number(value, f"{sign}{'.3f' if self.unit == 'mm' else '.4f'}")
@@ -89,13 +90,11 @@ def _controller_figures(material: Material) -> list[Block]:
     """Tabulate links, joint zeros, tool and base."""
     robot, parts = material.robot, reported_figures(material)
     joints = {
-        str(i): [parts[f"joint {i}"][step.symbol] for step in frame.every
-                 if step.free or not frame.listed or step.symbol in frame.listed]
+        str(i): [parts[f"joint {i}"][step.symbol] for step in frame.every if step.free or step.symbol in frame.listed]
         for i, frame in enumerate(robot.frames, start=1)
-    }  # fmt: skip
+    }
     curved = any(figure.figure == "beta" and figure.calibrated for row in joints.values() for figure in row)
-    own = OWN_FRAMES if any(frame.listed == LISTED for frame in robot.frames) else ""
-    order = ORDER.get(robot.kinematics, own) + NO_BETA * curved
+    order = ORDER.get(robot.kinematics, OWN_FRAMES) + NO_BETA * curved
     header = [f"joint {i} [{joint.shown[0]}]" for i, joint in enumerate(robot.joints, start=1)]
     added = [number(value, "+.4f") for value in zeros(robot, material.levels)] if material.levels else []
     markers = {name: list(parts[f"marker {name}"].values()) for name in robot.markers}
@@ -132,33 +131,21 @@ def _worth(material: Material) -> list[Block]:
     return [Paragraph(" ".join((WORTH, *anew, *harm)), keep=True)]
 
 
-def figure_tables(what: str, rows: Mapping[str, Sequence[Figure]]) -> list[Block]:
-    """Return a table with a row for each joint or marker, of every figure that any has; if too wide, one for each unit."""
-    columns: dict[tuple[str, str], dict[str, Figure]] = {}
-    for name, row in rows.items():
-        for figure in row:
-            columns.setdefault((figure.unit, figure.figure), {})[name] = figure
-    shown = {key: column for key, column in columns.items() if any(figure.is_shown for figure in column.values())}
-    units = dict.fromkeys(unit for unit, _ in shown) if len(shown) > WIDEST else [""]
-    return [_table(what, list(rows), {key: shown[key] for key in shown if unit in ("", key[0])}) for unit in units]
-
-
-def _table(what: str, names: Sequence[str], columns: Mapping[tuple[str, str], Mapping[str, Figure]]) -> Table:
-    """Return a table of figures by unit and symbol, those that were fitted beside their differences."""
-    header, cells = [what], [[name] for name in names]
-    for (unit, symbol), column in columns.items():
-        with_differences = any(figure.fitted for figure in column.values())
-        header += [f"{symbol} [{unit}]", *["Δ"] * with_differences]
-        for name, row in zip(names, cells, strict=True):
-            row += _cells(column.get(name))[: 1 + with_differences]
-    return Table(header, cells, "l" + "r" * (len(header) - 1), size=8)
-
-
-def _cells(figure: Figure | None) -> tuple[str, str]:
-    if figure is None:
-        return "–", ""
-    difference = figure.shown(figure.difference, "+") if figure.fitted else ""
-    return figure.shown(figure.calibrated), difference if figure.determined else f"({difference})"
+def figure_tables(what: str, rows: Mapping[str, Sequence[Figure]]) -> list[Table]:
+    """Return a table for each unit with a row for each joint or marker, of the figures that are not zero or were fitted."""
+    tables = []
+    for unit in dict.fromkeys(figure.unit for row in rows.values() for figure in row):
+        named = [{figure.figure: figure for figure in row if figure.unit == unit} for row in rows.values()]
+        header, cells = [what], [[name] for name in rows]
+        for symbol in dict.fromkeys(symbol for row in named for symbol in row):
+            column = [row.get(symbol) for row in named]
+            if any(figure and figure.is_shown for figure in column):
+                fitted = any(figure and figure.fitted for figure in column)
+                header += [f"{symbol} [{unit}]", *["Δ"] * fitted]
+                for row, figure in zip(cells, column, strict=True):
+                    row += (figure.cells if figure else ("–", ""))[: 1 + fitted]
+        tables.append(Table(header, cells, "l" + "r" * (len(header) - 1), size=8))
+    return tables
 
 
 def _base(base: Mapping[str, Figure], known: bool) -> list[Block]:
