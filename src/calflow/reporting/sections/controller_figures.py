@@ -27,7 +27,9 @@ ORDER = {
     "modified-dh": "Each link is Rx(alpha) Tx(a) Ry(beta) Rz(theta + joint) Tz(d).",
     "dh": "Each link is Rz(theta + joint) Tz(d) Tx(a) Rx(alpha) Ry(beta).",
 }
-OWN_FRAMES = "Each link is at x, y, z in its parent's frame, turned as in the robot file, by rx, ry, rz, and by theta + joint about its axis."
+OWN_FRAMES = (
+    "Each link is at x, y, z in its parent's frame, turned as in the robot file, by rx, ry, rz and theta + joint."
+)
 NO_BETA = " beta turns about y where two axes are nearly parallel; for a controller that has no beta, leave it out."
 WORTH = "Page one has the robot's error with these figures, with fewer, and with corrected commands."
 ANEW = (
