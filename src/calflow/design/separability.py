@@ -101,7 +101,13 @@ class Visits:
 Place = tuple[str, str]  # effect and part
 
 
-Known = Place | str  # a cause at its place; only its id where no data show it
+@dataclass(frozen=True)
+class PlacedCause:
+    """A cause at its part, or by its id alone (part empty), where the poses test it nowhere; joint 0: none."""
+
+    id: str
+    part: str = ""
+    joint: int = 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,95 +151,80 @@ class Isolability:
         tried says what the plan could tell with each addition, in the order of what they cost.
         """
         rows: list[IsolabilityCell] = []
-        every: list[Known] = [*self.causes, *self.lacking]
-        for cause in every:
-            rivals = tuple(self._rivals(cause))
-            worst = self._worst(cause, rivals)
-            filled = _filled(tried, cause, worst[0]) if worst else None
-            id_, joint, part = self._place(cause)
-            size_, unit = self._usual(cause, size)
-            gaps: list[Known | None] = [None, *rivals]
-            for rival in gaps:
-                is_worst = worst is not None and worst[0] == rival
-                chance = self.chance_of(cause, rival)
-                other, other_joint, other_part = self._place(rival) if rival else ("", None, "")
+        tested = [PlacedCause(*place, cause.joint) for place, cause in self.causes.items()]
+        for cause in (*tested, *map(PlacedCause, self.lacking)):
+            gaps = [None, *self._rivals(cause)]
+            chances = [self.chance_of(cause, rival) for rival in gaps]
+            worst, (usual, unit) = _worst(chances), self._usual(cause, size)
+            for k, (rival, chance) in enumerate(zip(gaps, chances, strict=True)):
+                other, filled = rival or PlacedCause(""), _filled(tried, cause, rival) if k == worst else None
                 rows.append(
                     IsolabilityCell(
-                        cause=id_, joint=joint, part=part, size=size_, unit=unit, rival=other, rival_part=other_part,
-                        rival_joint=joint if isinstance(rival, str) else other_joint, chance=chance, enough=chance >= ENOUGH,
-                        needs=self._needs(cause, rival), worst=is_worst, addition=filled[0] if is_worst and filled else "",
-                        chance_then=filled[1] if is_worst and filled else None,
-                        words=self._words(cause, rival, filled, tried) if is_worst else "",
+                        cause=cause.id, joint=cause.joint or None, part=cause.part, size=usual, unit=unit, rival=other.id,
+                        rival_joint=other.joint or None, rival_part=other.part, chance=chance, enough=chance >= ENOUGH,
+                        needs=self._needs(cause, rival), worst=k == worst, addition=filled[0] if filled else "",
+                        chance_then=filled[1] if filled else None,
+                        words=self._words(cause, rival, filled, tried) if k == worst else "",
                     )
                 )  # fmt: skip
         return to_frame(rows, IsolabilityCell)
 
-    def chance_of(self, cause: Known, rival: Known | None) -> float:
+    def chance_of(self, cause: PlacedCause, rival: PlacedCause | None) -> float:
         """Return the chance that a cause is seen (rival None), or seen and told from a rival; 0 for what the poses do not test.
 
         A cause or rival that is known by its id alone is the one that is seen best, or told worst.
         """
-        true = [cause] if isinstance(cause, tuple) else [place for place in self.seen if place[0] == cause]
+        true, others = (
+            [place for place in self.seen if of and of.id == place[0] and of.part in ("", place[1])] for of in (cause, rival)
+        )  # fmt: skip
         if rival is None:
-            return max((self.seen.get(place, 0.0) for place in true), default=0.0)
-        others = [rival] if isinstance(rival, tuple) else [place for place in self.seen if place[0] == rival]
+            return max((self.seen[place] for place in true), default=0.0)
         return min((self.told.get((place, other), 0.0) for place in true for other in others), default=0.0)
 
-    def _rivals(self, cause: Known) -> Iterator[Known]:
-        if isinstance(cause, tuple):
-            yield from (place for place in self.causes if place != cause)
-            yield from self.untold[cause]
+    def _rivals(self, cause: PlacedCause) -> Iterator[PlacedCause]:
+        own = cause.id, cause.part
+        if own in self.causes:
+            yield from (PlacedCause(*place, other.joint) for place, other in self.causes.items() if place != own)
+            yield from (PlacedCause(name, joint=cause.joint) for name in self.untold[own])
 
-    def _worst(self, cause: Known, rivals: tuple[Known, ...]) -> tuple[Known | None] | None:
-        """The rival of the worst gap, in a tuple since None means that the cause is not seen; None where there is no gap."""
-        if self.chance_of(cause, None) < ENOUGH:
-            return (None,)
-        least = min(rivals, key=lambda rival: self.chance_of(cause, rival), default=None)
-        return (least,) if least is not None and self.chance_of(cause, least) < ENOUGH else None
+    def _needs(self, cause: PlacedCause, rival: PlacedCause | None) -> str:
+        if not cause.part:
+            return self.lacking[cause.id]
+        return self.untold[cause.id, cause.part][rival.id] if rival and not rival.part else ""
 
-    def _needs(self, cause: Known, rival: Known | None) -> str:
-        if not isinstance(cause, tuple):
-            return self.lacking[cause]
-        return self.untold[cause][rival] if isinstance(rival, str) else ""
-
-    def _usual(self, cause: Known, size: float) -> tuple[float | None, str]:
+    def _usual(self, cause: PlacedCause, size: float) -> tuple[float | None, str]:
         """The size that was drawn, and its unit."""
-        if not isinstance(cause, tuple):
+        if not cause.part:
             return None, ""
-        declared = self.causes[cause].declared
+        declared = self.causes[cause.id, cause.part].declared
         same = [parameter.prior_sd for parameter in declared if parameter.unit == declared[0].unit]
         return size * float(np.sqrt(np.mean(np.square(same)))), declared[0].unit
 
-    def _place(self, place: Known) -> tuple[str, int | None, str]:
-        """Id, joint and part."""
-        if not isinstance(place, tuple):
-            return place, None, ""
-        cause = self.causes[place]
-        return cause.id, cause.joint or None, cause.part
-
-    def _name(self, cause: Known) -> str:
+    def _name(self, cause: PlacedCause) -> str:
         """Name a cause with its joint, or with its part where it has several."""
-        if not isinstance(cause, tuple):
-            return cause
-        joint = self.causes[cause].joint
-        alone = joint or sum(place[0] == cause[0] for place in self.causes) == 1
-        return label(cause[0], joint) if alone else f"{cause[0]} ({cause[1]})"
+        if not cause.part:
+            return cause.id
+        alone = cause.joint or sum(cause.id == id_ for id_, _ in self.causes) == 1
+        return label(cause.id, cause.joint) if alone else f"{cause.id} ({cause.part})"
 
     def _words(
-        self, cause: Known, rival: Known | None, filled: tuple[str, float] | None, tried: Mapping[str, Isolability]
-    ) -> str:
+        self, cause: PlacedCause, rival: PlacedCause | None, filled: tuple[str, float] | None, tried: Mapping[str, Isolability]
+    ) -> str:  # fmt: skip
         """Say a gap and what fills it."""
         what = "seen" if rival is None else f"distinguished from {self._name(rival)}"
         needs = self._needs(cause, rival)
         how = f"not {what}: it takes {needs}" if needs else f"{what} in {_hundred(self.chance_of(cause, rival))}"
         if filled:
-            where = _where(tried[filled[0]], cause) if rival is None else ""
-            return f"{self._name(cause)} is {how}; with {filled[0]} in {_hundred(filled[1])}{where}"
+            seen = (
+                {} if cause.part or rival else tried[filled[0]].seen
+            )  # where, of a cause that was not tested anywhere
+            shown = ", ".join(part for (id_, part), chance in seen.items() if id_ == cause.id and chance >= ENOUGH)
+            return f"{self._name(cause)} is {how}; with {filled[0]} in {_hundred(filled[1])}{f' ({shown})' if shown else ''}"
         if needs:
             return f"{self._name(cause)} is {how}"
         means = ["at this size it takes a surer device or more poses"]
         if rival is not None:
-            effects = [effect_class(place if isinstance(place, str) else place[0]) for place in (cause, rival)]
+            effects = [effect_class(of.id) for of in (cause, rival)]
             means = [effect.told_by for effect in effects if effect and effect.told_by] or [ANY_MEANS]
         return f"{self._name(cause)} is {how}, and nothing tried changes that: {', or '.join(dict.fromkeys(means))}"
 
@@ -381,18 +372,18 @@ def isolability_gaps(table: pd.DataFrame) -> list[str]:
     return list(gaps.sort_values("chance", kind="stable")["words"])
 
 
-def _filled(tried: Mapping[str, Isolability], cause: Known, rival: Known | None) -> tuple[str, float] | None:
+def _worst(chances: Sequence[float]) -> int | None:
+    """Return the index of the worst gap, that of not being seen (0) before any other; None where there is no gap."""
+    worst = 0 if chances[0] < ENOUGH or len(chances) == 1 else 1 + int(np.argmin(chances[1:]))
+    return worst if chances[worst] < ENOUGH else None
+
+
+def _filled(
+    tried: Mapping[str, Isolability], cause: PlacedCause, rival: PlacedCause | None
+) -> tuple[str, float] | None:
     """The first addition with which a gap is none, and the chance then."""
     then = ((words, with_it.chance_of(cause, rival)) for words, with_it in tried.items())
     return next((count for count in then if count[1] >= ENOUGH), None)
-
-
-def _where(then: Isolability, cause: Known) -> str:
-    """Say where a cause is seen that was not tested anywhere."""
-    if isinstance(cause, tuple):
-        return ""
-    shown = [place[1] for place, chance in then.seen.items() if place[0] == cause and chance >= ENOUGH]
-    return f" ({', '.join(shown)})"
 
 
 def _hundred(chance: float) -> str:
