@@ -9,7 +9,7 @@ import pytest
 
 from calflow.design.discrimination import MOST_NEXT_POSES
 from calflow.design.planned import Planned
-from calflow.design.t_optimality import Choices, Explanation, TCriterion, propose
+from calflow.design.t_optimality import Explanation, TCriterion, propose
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.stepwise import WITHIN, Linearisation
@@ -40,8 +40,7 @@ def fitted():
 @pytest.fixture(scope="module")
 def choices():
     """Poses over all the travel."""
-    more = measured(MODEL, TRUTH, 300, np.random.default_rng(2))
-    return Choices(more.joints, np.ones(more.joints.shape), ("",) * len(more), more.conditions)
+    return measured(MODEL, TRUTH, 300, np.random.default_rng(2))
 
 
 def explanations(fitted, *rivals):

@@ -12,7 +12,7 @@ import numpy as np
 
 from calflow.design.candidates import candidates
 from calflow.design.planned import Planned
-from calflow.design.t_optimality import Choices, Explanation, Pair, TCriterion, closest, propose
+from calflow.design.t_optimality import Explanation, Pair, TCriterion, closest, propose
 from calflow.diagnosis.diagnosis import Diagnosis
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.stepwise import Detection
@@ -131,7 +131,7 @@ class Plan:
     wrong one of a pair; left_open: pairs that they do not separate.
     """
 
-    poses: Choices
+    poses: Measurements
     rivals: tuple[Rival, ...]
     before: float
     after: float
@@ -148,7 +148,9 @@ class Question:
     plan: Plan | None = None
 
 
-def questions(diagnosis: Diagnosis, data: Measurements, rng: Draws, among: Choices | None = None) -> list[Question]:
+def questions(
+    diagnosis: Diagnosis, data: Measurements, rng: Draws, among: Measurements | None = None
+) -> list[Question]:
     """Return how to separate each finding from its rivals by poses, of which the same share is fitted as of the data.
 
     The poses are chosen among given candidates, or among poses drawn in the measured region.
@@ -166,7 +168,7 @@ def fitted_share(data: Measurements) -> float:
 
 
 def question(
-    verdict: Verdict, fitted: Fitted, share: float, rng: np.random.Generator, among: Choices | None = None
+    verdict: Verdict, fitted: Fitted, share: float, rng: np.random.Generator, among: Measurements | None = None
 ) -> Question:
     """Return how to separate a finding from each of its rivals; share: the share of further poses that will be fitted.
 
@@ -206,7 +208,7 @@ def _asked(
     untested: tuple[Separation, ...],
     fitted: Fitted,
     planned: Planned,
-    choices: Choices,
+    choices: Measurements,
 ) -> Question:
     """Return poses that separate a finding from some rivals."""
     explanations = [Explanation(finding.own, 0.0), *(Explanation(r.score, r.cost) for r in rivals if r.score)]
@@ -225,7 +227,7 @@ def _asked(
     open_ = [(causes[i], rivals[k - 1]) for i, k in after if (i, k) not in together]
     open_ += [(finding.cause, separation.rival) for separation in untested]
     plan = Plan(
-        choices.only(chosen), tuple(rivals[k - 1] for i, k in together if i == 0),
+        replace(choices, table=choices.table.iloc[chosen]), tuple(rivals[k - 1] for i, k in together if i == 0),
         min(before[pair].separation for pair in together), min(criterion.separation for criterion in together.values()),
         min(criterion.chance for criterion in together.values()), tuple(open_),
     )  # fmt: skip
@@ -273,12 +275,12 @@ def poses_table(questions: Sequence[Question], fitted: Fitted) -> pd.DataFrame:
             continue
         plan, cause = question.plan, question.cause
         first, second = [one for one, _ in plan.left_open], [other for _, other in plan.left_open]
-        readings = np.round(shown_readings(robot, plan.poses.readings), 4)
-        for k, payload in enumerate(plan.poses.payloads):
+        readings, table = np.round(shown_readings(robot, plan.poses.joints), 4), plan.poses.table
+        for k, payload in enumerate(table["payload"]):
             rows.append(
                 NextPose(
                     pose=len(rows) + 1, readings=dict(zip(names, readings[k], strict=True)),
-                    approach=dict(zip(sides, plan.poses.approach[k][robot.driven].astype(int), strict=False)), payload=payload,
+                    approach={side: int(table[side].iloc[k]) for side in sides}, payload=payload,
                     tells=_label(cause), rivals=tuple(map(_label, plan.rivals)),
                     leaves_open="; ".join(f"{_label(one)} or {_label(other)}" for one, other in plan.left_open),
                     separation_before_sd=plan.before, separation_after_sd=plan.after, chance_after=plan.chance,
@@ -319,7 +321,7 @@ def planned_like(fitted: Fitted, share: float) -> Planned:
     return Planned.like(observed[k], fitted.noise, k, share)
 
 
-def _choices(fitted: Fitted, observation: Observation, rng: np.random.Generator) -> Choices:
+def _choices(fitted: Fitted, observation: Observation, rng: np.random.Generator) -> Measurements:
     """Draw poses in the measured region, under every payload, with each joint's approach from either side.
 
     Raises:
@@ -330,18 +332,14 @@ def _choices(fitted: Fitted, observation: Observation, rng: np.random.Generator)
     region = np.array([points.min(axis=0), points.max(axis=0)])
     thin = np.maximum(0.0, THINNEST - np.ptp(region, axis=0)) / 2
     region += np.array([-thin, thin])
-    readings, approach, payloads, packed = [], [], [], []
+    tables = []
     possible = list(dict.fromkeys([*data.table["payload"], *data.robot.payloads]))
     number = min(CANDIDATES, max(1, MOST_CANDIDATES // len(possible)))
     for payload in possible:
         drawn, _ = candidates(model, number, payload, str(data.table["marker"].iloc[0]), region, rng, observation)
         came = rng.choice([-1.0, 1.0], drawn.shape)
-        table = rows_like(data, drawn, came, (str(payload),) * len(drawn), rng)
-        readings.append(drawn)
-        approach.append(came)
-        payloads += [str(payload)] * len(drawn)
-        packed.append(table.conditions)
-    return Choices(np.vstack(readings), np.vstack(approach), tuple(payloads), np.hstack(packed))
+        tables.append(rows_like(data, drawn, came, (str(payload),) * len(drawn), rng).table)
+    return replace(data, table=pd.concat(tables, ignore_index=True))
 
 
 def rows_like(

@@ -19,7 +19,6 @@ from calflow.design.optimality import ToolError, information
 from calflow.design.planned import Planned, SelectionRequest
 from calflow.design.search import greedy
 from calflow.design.selection import PlannedPose, planned_poses
-from calflow.design.t_optimality import Choices
 from calflow.design.task_error import Lack, Lacks, Measure, Site, TaskError, task_error
 from calflow.diagnosis.diagnosis import Diagnosis, extended_model
 from calflow.diagnosis.findings import findings
@@ -68,7 +67,12 @@ class Chosen:
 
 
 def doubts(
-    lacks: Lacks, error: TaskError, alternatives: Sequence[Alternative], site: Site, planned: Planned, choices: Choices
+    lacks: Lacks,
+    error: TaskError,
+    alternatives: Sequence[Alternative],
+    site: Site,
+    planned: Planned,
+    choices: Measurements,
 ) -> list[Doubt]:
     """Return the sources of uncertainty of the tool over the task, with their effect at the candidate poses."""
     whole, fitted = lacks.fitted.model, lacks.fitted
@@ -79,7 +83,7 @@ def doubts(
     effects = [effect for lack in asked for effect in lack.form.effects]
     problem = planned.problem(model, estimate, choices.conditions)
     _, slopes = probed(problem, estimate, effects)
-    slopes = slopes.reshape(len(choices.readings), -1, slopes.shape[1])
+    slopes = slopes.reshape(len(choices), -1, slopes.shape[1])
     place = {p.identity: k for k, p in enumerate(model.parameters)}
     places = [place.get(whole.parameters[k].identity) for k in free]
     # The pose of another device is not observed by these poses.
@@ -105,7 +109,7 @@ def doubts(
 
 
 def further_poses(
-    every: Sequence[Doubt], asked: Sequence[Question], choices: Choices, measure: Measure, number: int
+    every: Sequence[Doubt], asked: Sequence[Question], choices: Measurements, measure: Measure, number: int
 ) -> list[Chosen]:
     """Choose candidates: some that separate rivals, if poses can, and those that reduce the tool's variance."""
     telling = _telling(asked, choices, int(np.ceil(TELLING * number)))
@@ -147,14 +151,14 @@ def _directions(lacks: Lacks, lack: Lack, tool: np.ndarray) -> np.ndarray:
     return np.asarray(root @ np.linalg.svd(moved, full_matrices=False)[2][:DIRECTIONS].T)
 
 
-def _telling(asked: Sequence[Question], choices: Choices, most: int) -> list[Chosen]:
+def _telling(asked: Sequence[Question], choices: Measurements, most: int) -> list[Chosen]:
     """Return the poses of all questions' plans, taken in turn."""
     plans = [(question, question.plan) for question in asked if question.plan]
     reasons: dict[int, str] = {}
     for k in range(most):
         for question, plan in plans:
-            if k < len(plan.poses.readings) and len(reasons) < most:
-                same = (choices.readings == plan.poses.readings[k]).all(axis=1)
+            if k < len(plan.poses) and len(reasons) < most:
+                same = (choices.joints == plan.poses.joints[k]).all(axis=1)
                 rivals = ", ".join(label(rival.id, rival.joint) for rival in plan.rivals)
                 reasons.setdefault(
                     int(same.argmax()), f"tells {label(question.cause.id, question.cause.joint)} from {rivals}"
@@ -318,7 +322,7 @@ def next_step(
     choices = _choices(bare, fitted.data, planned, asked, rng("candidates"))
     every = doubts(lacks, error, rivals, site, planned, choices)
     chosen = further_poses(every, questions(diagnosis, data, rng, choices), choices, request.measure, asked.number)
-    return NextStep(verdict, numbered_on(_table(bare, choices, chosen, asked, data.given), data), calibrated)
+    return NextStep(verdict, numbered_on(_table(bare, choices, chosen, asked), data), calibrated)
 
 
 def _rivals(diagnosis: Diagnosis) -> list[Alternative]:
@@ -354,27 +358,24 @@ def _verdict(
 
 def _choices(
     model: Model, data: Measurements, planned: Planned, asked: SelectionRequest, rng: np.random.Generator
-) -> Choices:
+) -> Measurements:
     """Return candidate poses, drawn within cell, region and limits or stated, under conditions like those measured."""
     readings = asked.choice(model, planned.observation, rng)
     if not len(readings):
         raise refuse("no pose of candidates_file is within limits and region, and allowed by the cell")
     came = rng.choice([-1.0, 1.0], readings.shape)
-    payloads = (asked.payload,) * len(readings)
-    return Choices(readings, came, payloads, rows_like(data, readings, came, payloads, rng).conditions)
+    return rows_like(data, readings, came, (asked.payload,) * len(readings), rng)
 
 
-def _table(
-    model: Model, choices: Choices, chosen: Sequence[Chosen], asked: SelectionRequest, given: Sequence[str]
-) -> pd.DataFrame:
+def _table(model: Model, choices: Measurements, chosen: Sequence[Chosen], asked: SelectionRequest) -> pd.DataFrame:
     """Return the poses in short measuring order, each with its reason, and its sides of approach if recorded."""
-    order = shortest_tour(choices.readings[[pose.number for pose in chosen]])
+    order = shortest_tour(choices.joints[[pose.number for pose in chosen]])
     ordered = [chosen[int(k)] for k in order]
     numbers = [pose.number for pose in ordered]
-    table = planned_poses(model, asked, choices.readings[numbers])
-    if "approach" in given:
-        sides = choices.approach[numbers].astype(int)
-        table = table.assign(**{f"approach{i + 1}": sides[:, i] for i in model.robot.driven})
+    table = planned_poses(model, asked, choices.joints[numbers])
+    if "approach" in choices.given:
+        sides = choices.table[[f"approach{i + 1}" for i in model.robot.driven]]
+        table = table.assign(**sides.iloc[numbers].astype(int).reset_index(drop=True))
     return table.assign(reason=[pose.reason for pose in ordered])
 
 

@@ -1,8 +1,7 @@
 """T-optimality (Atkinson and Fedorov 1975): the criterion for discriminating two explanations of the same data.
 
-One explanation is fitted as well as possible to the effect of the other, true one; the residual, in standard deviations
-of
-the noise, is their separation. Poses are added where it grows most."""
+One explanation is fitted as well as possible to the effect of the other, true one; the residual, in standard deviations of the
+noise, is their separation. Poses are added where it grows most."""
 
 from __future__ import annotations
 
@@ -20,24 +19,9 @@ from calflow.diagnosis.screening import Score
 from calflow.diagnosis.stepwise import WITHIN
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.probing import probed
+from calflow.measurements.measurements import Measurements
 
 Pair = tuple[int, int]  # of explanations, by their numbers
-
-
-@dataclass(frozen=True)
-class Choices:
-    """Poses to choose from: readings and approach (n, n_joints), payload names, and the packed rows (n_conditions, n)."""
-
-    readings: np.ndarray
-    approach: np.ndarray
-    payloads: tuple[str, ...]
-    conditions: np.ndarray
-
-    def only(self, which: Sequence[int]) -> Choices:
-        """Return some of the poses."""
-        chosen = list(which)
-        payloads = tuple(self.payloads[k] for k in chosen)
-        return Choices(self.readings[chosen], self.approach[chosen], payloads, self.conditions[:, chosen])
 
 
 @dataclass(frozen=True)
@@ -118,11 +102,12 @@ class TCriterion:
 
     @staticmethod
     def between(
-        fitted: Fitted, explanations: Sequence[Explanation], choices: Choices, planned: Planned
+        fitted: Fitted, explanations: Sequence[Explanation], choices: Measurements, planned: Planned
     ) -> dict[Pair, TCriterion]:
         """Return the criterion of each pair of explanations of a finding, by indices of the true and the fitted one.
 
-        The first explanation is in the fitted model, the others are not; planned: how a further pose will be measured.
+        The first explanation is in the fitted model, the others are not; choices: the poses to choose from; planned: how a
+        further pose will be measured.
         """
         model, fit = fitted.model, fitted.fit
         scores = [explanation.score for explanation in explanations]
