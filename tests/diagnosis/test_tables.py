@@ -14,6 +14,7 @@ from calflow.diagnosis.findings import Finding, _kept_together, _together, findi
 from calflow.diagnosis.misfit import misfit
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.stepwise import Linearisation
+from calflow.diagnosis.verdict import DeployedCauses
 from calflow.effects.base import NamedCause
 from calflow.estimation.calibrated_model import Alternative
 from calflow.files.problems import InputError
@@ -36,7 +37,9 @@ def uneven():
 def diagnosis(last, **more):
     """A diagnosis that found no cause."""
     first = Linearisation.at(last, Catalogue((), {})).screened(np.random.default_rng(1))
-    return Diagnosis(last, Extended(last, (), (), first), (), (), None, {}, {}, 0.01, **more)
+    return Diagnosis(
+        last, Extended(last, (), (), first), DeployedCauses(last, ()), (), None, Catalogue((), {}), 0.01, **more
+    )
 
 
 @pytest.mark.parametrize(("doubt", "least"), [(0.04, False), (0.06, True)])

@@ -97,14 +97,11 @@ def doubts(
         seen = slopes[:, :, start : start + len(columns)] + jacobian @ lacks.response(columns)
         doubts.append(Doubt(lack.form.name, seen @ turn, tool @ turn))
         start += len(columns)
-    for k, alternative in enumerate(alternatives, start=1):
-        rival, size = replace(alternative.model, given=whole.given), np.sqrt(alternative.probability)
-        apart = rival.point(alternative.estimate, choices.conditions) - whole.point(
-            fitted.fit.estimate, choices.conditions
-        )
-        there = rival.point(alternative.estimate, site.conditions) - whole.point(fitted.fit.estimate, site.conditions)
-        if planned.observation.units == (METRE,) * 3:
-            doubts.append(Doubt(f"rival {k}", size / planned.sigma * apart[:, :, None], size * there[:, :, None]))
+    if planned.observation.units == (METRE,) * 3:
+        for k, alternative in enumerate(alternatives, start=1):
+            size, both = np.sqrt(alternative.probability), (choices.conditions, site.conditions)
+            seen, tool = (alternative.apart(whole, fitted.fit.estimate, rows)[:, :, None] for rows in both)
+            doubts.append(Doubt(f"rival {k}", size / planned.sigma * seen, size * tool))
     return doubts
 
 

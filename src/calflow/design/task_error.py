@@ -15,7 +15,7 @@ device noise, and the share of draws within a tolerance is the probability of me
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
@@ -331,7 +331,7 @@ def task_error(
         of_choice = [alternative.probability for alternative in others]
         chosen = rng.choice(len(others) + 1, TASK_DRAWS, p=[*of_choice, 1 - sum(of_choice)])
         for k, other in enumerate(others):
-            lacking[chosen == k] += _apart(fitted, other, site.conditions)
+            lacking[chosen == k] += other.apart(fitted.model, fitted.fit.estimate, site.conditions)
     forms = list({id(candidate.form): candidate.form for candidate, _ in drawn}.values())
     slopes = dict(zip(map(id, forms), site.left(lacks, forms), strict=True))
     for candidate, draws in drawn:
@@ -346,8 +346,8 @@ def task_error(
     error, lacking = (
         off - ((off.reshape(TASK_DRAWS, -1) @ taught) @ taught.T).reshape(off.shape) for off in (error, lacking)
     )
-    measured = _MEASURES[measure]
-    return TaskError(measured(error + lacking), measured(lacking), tuple(lacks.every[k].form.name for k in lack))
+    names = tuple(lacks.every[k].form.name for k in lack)
+    return TaskError(_size(error + lacking, measure), _size(lacking, measure), names)
 
 
 def _beside_noise(
@@ -405,18 +405,7 @@ def _levels(fitted: Fitted, rng: np.random.Generator) -> np.ndarray:
     )
 
 
-def _apart(fitted: Fitted, other: Alternative, conditions: np.ndarray) -> np.ndarray:
-    """Return the offset of another model's tool from the calibrated one's, (n_points, 3) [m]."""
-    there = replace(other.model, given=fitted.model.given).point(other.estimate, conditions)
-    return there - fitted.model.point(fitted.fit.estimate, conditions)
-
-
-def _rms(error: np.ndarray) -> np.ndarray:
-    return np.asarray(np.sqrt((error**2).sum(axis=2).mean(axis=1)))
-
-
-def _worst(error: np.ndarray) -> np.ndarray:
-    return np.asarray(np.sqrt((error**2).sum(axis=2).max(axis=1)))
-
-
-_MEASURES: dict[Measure, Callable[[np.ndarray], np.ndarray]] = {"rms": _rms, "worst": _worst}
+def _size(error: np.ndarray, measure: Measure) -> np.ndarray:
+    """Return the root mean square or largest length (n_draws,) of errors (n_draws, n_points, 3)."""
+    squared = (error**2).sum(axis=2)
+    return np.asarray(np.sqrt(squared.max(axis=1) if measure == "worst" else squared.mean(axis=1)))

@@ -5,7 +5,7 @@ Its result is the extended model with its accuracy and noise, and a summary of t
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -59,33 +59,35 @@ BEGUN, SEARCHED = 0.1, 0.7  # share of the work before and after the search
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """The result of a search: the initial model, its extension, one verdict per finding, and the remaining misfit.
+    """The result of a search: the initial model, its extension, the model to be used with the verdicts, and the remaining misfit.
 
-    left: errors of the extended model that no cause explains; growth: growth of the noise with range; lacking, superseded: why an
-    effect, by id, was not tested; false_alarm: false-alarm rate of the causes; misfit: the extended model's lack of fit where
-    significant; capped: whether as many causes were found as were allowed; alternatives: models with rivals in the causes' places;
-    in_reach: models one step from the extended one, by probability; deployed: the model to be used and its causes, the verdicts on
-    the others (suspected) coming last.
+    left: errors of the extended model that no cause explains; growth: growth of the noise with range; catalogue: the effects that
+    were tested; false_alarm: false-alarm rate of the causes; misfit: the extended model's lack of fit where significant; capped:
+    whether as many causes were found as were allowed; alternatives: models with rivals in the causes' places; in_reach: models one
+    step from the extended one, by probability.
     """
 
     start: Fitted
     extended: Extended
-    verdicts: tuple[Verdict, ...]
+    deployed: DeployedCauses
     left: tuple[UnexplainedStructure, ...]
     growth: Growth | None
-    lacking: Mapping[str, str]
-    superseded: Mapping[str, str]
+    catalogue: Catalogue
     false_alarm: float
     misfit: Misfit | None = None
     capped: bool = False
     alternatives: tuple[Alternative, ...] = ()
     in_reach: tuple[ModelInReach, ...] = ()
-    deployed: DeployedCauses | None = None
 
     @property
     def final(self) -> Fitted | None:
         """The model to be used; None: the identified one as it is."""
-        return self.deployed.fitted if self.deployed else self.extended.fitted
+        return self.deployed.fitted
+
+    @property
+    def verdicts(self) -> tuple[Verdict, ...]:
+        """One verdict per finding: those in the model to be used, then those that are only suspected."""
+        return (*self.deployed.deployed, *self.deployed.suspected)
 
     @property
     def upper_limit(self) -> float:
@@ -104,7 +106,7 @@ class Diagnosis:
     @property
     def n_deployed(self) -> int:
         """Number of the causes in the model to be used, which come first."""
-        return len(self.deployed.deployed) if self.deployed else len(self.verdicts)
+        return len(self.deployed.deployed)
 
     @property
     def path(self) -> tuple[Fit, ...]:
@@ -280,11 +282,10 @@ def search_causes(
     kept = deployed_causes(extended, judged, misses) if otherwise else DeployedCauses(None, ())
     for suspect in kept.suspected:
         say(f"{words(suspect.finding.cause)} remains a suspicion: it does not help at poses left out")
-    verdicts = (*kept.deployed, *kept.suspected)
-    extended = replace(extended, findings=tuple(verdict.finding for verdict in verdicts))
-    return Diagnosis(start, extended, verdicts, suspected(left, beside), grown, wanted.lacking, wanted.superseded,
-                     acceptance.false_alarm, misfit(extended.fitted, rng("misfit")), capped=len(verdicts) >= causes,
+    ordered = tuple(verdict.finding for verdict in (*kept.deployed, *kept.suspected))
+    extended = replace(extended, findings=ordered)
+    return Diagnosis(start, extended, kept, suspected(left, beside), grown, wanted, acceptance.false_alarm,
+                     misfit(extended.fitted, rng("misfit")), capped=len(ordered) >= causes,
                      alternatives=fitted_alternatives(kept.deployed, extended.fitted, kept.suspected),
                      in_reach=models_in_reach(extended.fitted, extended.findings, beside, every,
-                                              [suspect.finding for suspect in kept.suspected]),
-                     deployed=kept)  # fmt: skip
+                                              [suspect.finding for suspect in kept.suspected]))  # fmt: skip

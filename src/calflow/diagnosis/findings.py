@@ -477,10 +477,9 @@ def candidates_table(diagnosis: Diagnosis, data: Measurements) -> pd.DataFrame:
     limits = detection_limits([score for _, (_, score) in ordered], first.family, diagnosis.false_alarm)
     rows = []
     for (place, (cost, score)), limit in zip(ordered, limits.tolist(), strict=True):
-        tested = _score(score)
         rows.append(
             replace(
-                tested,
+                _score(score),
                 p_family=first.family.p(score),
                 delta_bic=cost,
                 probability=weights[place] / total,
@@ -493,12 +492,13 @@ def candidates_table(diagnosis: Diagnosis, data: Measurements) -> pd.DataFrame:
         rows.append(
             CandidateRow(cause=cause.id, joint=cause.joint or None, part=cause.part, note=imitated, imitated=True)
         )
-    untested = {**diagnosis.lacking, **diagnosis.superseded}
+    wanted = diagnosis.catalogue
+    untested = {**wanted.lacking, **wanted.superseded}
     rows += [
         _noise(kind, diagnosis.growth) for name, kind in catalogue().items() if kind.is_noise() and name not in untested
     ]
     for name in (name for name in catalogue() if name in untested):
-        lacking, why = diagnosis.lacking.get(name, ""), diagnosis.superseded.get(name)
+        lacking, why = wanted.lacking.get(name, ""), wanted.superseded.get(name)
         note = f"not tested: {why}" if why else f"not testable: needs {lacking}"
         asked = catalogue()[name].asks(data.robot, data) if lacking else ()
         rows.append(CandidateRow(cause=name, note=note, lacking=lacking, asked=asked))

@@ -37,7 +37,8 @@ def completed(model: Model, estimate: np.ndarray, data: Measurements) -> tuple[M
     rows is judged.
     """
     model = observing(model, data)
-    lacking, further = _lacking(model, data), _further(model, data)
+    lacking = [o.lacks(data.table[data.of_series(k)]) for k, o in enumerate(model.observations)]
+    further = tuple(more for effect in model.effects for more in effect.completing(data))
     if not any(lacking) and not further:
         return model, estimate
     points = model.point(estimate, data.conditions)
@@ -54,16 +55,6 @@ def completed(model: Model, estimate: np.ndarray, data: Measurements) -> tuple[M
     start = np.array([estimates.get(parameter.name, parameter.nominal) for parameter in wider.parameters])
     unknown = np.array([parameter.name not in estimates for parameter in wider.parameters])
     return wider, _settled(wider, start, unknown, data)
-
-
-def _lacking(model: Model, data: Measurements) -> list[bool]:
-    """Whether the rows of each series need nuisance parameters that its observation lacks."""
-    return [o.lacks(data.table[data.of_series(k)]) for k, o in enumerate(model.observations)]
-
-
-def _further(model: Model, data: Measurements) -> tuple[Effect, ...]:
-    """The additional effects that the rows need."""
-    return tuple(more for effect in model.effects for more in effect.completing(data))
 
 
 def _settled(model: Model, point: np.ndarray, new: np.ndarray, data: Measurements) -> np.ndarray:
@@ -177,7 +168,13 @@ def errors(
 def leading_errors(model: Model, estimate: np.ndarray, measured: Measurements) -> np.ndarray:
     """Return the errors as `errors` does, those of each row in the leading unit of its series."""
     model, estimate = completed(model, estimate, measured)
-    return _series_errors(model, estimate, _observed_series(model, measured), len(measured))
+    errors = np.full((len(measured), _widest(model)), np.nan)
+    for seen in _observed_series(model, measured):
+        leading = _leading(seen.observation)
+        error = model.observed_error(seen.observation, estimate, seen.conditions, seen.reported)
+        turned = _turned(seen, model, estimate, error[:, leading, None])
+        errors[seen.rows[:, None], np.arange(len(leading))] = turned[:, :, 0]
+    return errors
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,16 +196,6 @@ def _observed_series(model: Model, measured: Measurements) -> list[_ObservedSeri
         seen = _ObservedSeries(observation, rows, table, measured.conditions[:, rows], observation.reported(table))
         steps.append(seen)
     return steps
-
-
-def _series_errors(model: Model, estimate: np.ndarray, series: Sequence[_ObservedSeries], n_rows: int) -> np.ndarray:
-    errors = np.full((n_rows, _widest(model)), np.nan)
-    for seen in series:
-        leading = _leading(seen.observation)
-        error = model.observed_error(seen.observation, estimate, seen.conditions, seen.reported)
-        turned = _turned(seen, model, estimate, error[:, leading, None])
-        errors[seen.rows[:, None], np.arange(len(leading))] = turned[:, :, 0]
-    return errors
 
 
 def error_jacobian(model: Model, estimate: np.ndarray, measured: Measurements) -> np.ndarray:

@@ -40,6 +40,11 @@ class Alternative:
     gone: Cause | None = None
     rival: Cause | None = None
 
+    def apart(self, model: Model, estimate: np.ndarray, conditions: np.ndarray) -> np.ndarray:
+        """Return the offset of its points from those of the model in whose place it is, (n_rows, 3) [m]."""
+        there = replace(self.model, given=model.given).point(self.estimate, conditions)
+        return there - model.point(estimate, conditions)
+
 
 def choice_errors(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
     """Return a square root of the positions' variance by the choice of the model (Bayesian model averaging, Hoeting et al. 1999).
@@ -47,12 +52,10 @@ def choice_errors(calibrated: CalibratedModel, conditions: np.ndarray) -> np.nda
     Shape (n_rows, 3, n_alternatives) [m], the factors of independent standard normals: the squares add up to the mean square
     distance of the alternatives' predictions from this model's, weighted by their probabilities.
     """
-    model, alternatives = calibrated.model, calibrated.alternatives
-    apart = np.zeros((conditions.shape[1], 3, len(alternatives)))
-    here = model.point(calibrated.estimate, conditions) if alternatives else 0.0
-    for k, other in enumerate(alternatives):
-        there = replace(other.model, given=model.given).point(other.estimate, conditions)
-        apart[:, :, k] = np.sqrt(other.probability) * (there - here)
+    apart = np.zeros((conditions.shape[1], 3, len(calibrated.alternatives)))
+    for k, other in enumerate(calibrated.alternatives):
+        moved = other.apart(calibrated.model, calibrated.estimate, conditions)
+        apart[:, :, k] = np.sqrt(other.probability) * moved
     return apart
 
 
