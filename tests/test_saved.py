@@ -199,7 +199,7 @@ def test_a_run_of_a_version_without_levels_of_effort_says_so(finished):
     with pytest.raises(cf.InputError, match="run the study again"):
         older.export("kuka-dat")
     material = older.material()
-    shown = [block for section in sections() if section.tells(material) for block in section.write(material)]
+    shown = [block for section in sections() if section.applies(material) for block in section.write(material)]
     assert sum(isinstance(block, Paragraph) and "run the study again" in block.text for block in shown) == 2
 
 

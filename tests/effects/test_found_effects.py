@@ -30,7 +30,7 @@ study = load_study(".")
 made = run(study, "runs")
 material = report_material(study, made.results, made.folder)
 sys.stdout.buffer.write(
-    document.source("", [(s.title, s.write(material)) for s in sections() if s.tells(material)]).encode()
+    document.source("", [(s.title, s.write(material)) for s in sections() if s.applies(material)]).encode()
 )
 """
 NAME = "joint1.hose-pull[slack 0.2].pull"

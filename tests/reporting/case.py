@@ -99,7 +99,7 @@ def context(folder: Path, case: Case = Case()) -> Context:
 
 def chosen(every: Sequence[Section], material: Material) -> list[Section]:
     """The sections that are in the report."""
-    return [section for section in every if section.tells(material)]
+    return [section for section in every if section.applies(material)]
 
 
 def with_select(given: Context) -> Context:

@@ -77,7 +77,7 @@ def test_the_page_holds_every_figure(material: Material) -> None:
     assert tables[0].header[0] == "joint"
     levels, _ = levels_of_effort(material)
     assert [row[1:] for row in levels.rows] == [[mm(level.mean), mm(level.max)] for level in material.levels.every]
-    assert CONTROLLER_SECTION.worth_telling(material)
+    assert CONTROLLER_SECTION.has_content(material)
 
 
 def test_a_tool_differs_from_the_robot_file(material: Material) -> None:

@@ -26,5 +26,5 @@ def test_nothing_found_has_no_section():
     """Fails if a study in which diagnose found nothing has an empty section."""
     empty = {"diagnose/models_in_reach.csv": to_frame((), ModelRow),
              "diagnose/cause_probabilities.csv": to_frame((), CauseProbability)}  # fmt: skip
-    assert not MODEL_CHOICE_SECTION.worth_telling(RunOutcome(Results(empty)))
-    assert MODEL_CHOICE_SECTION.worth_telling(RunOutcome(Results(weighed_models())))
+    assert not MODEL_CHOICE_SECTION.has_content(RunOutcome(Results(empty)))
+    assert MODEL_CHOICE_SECTION.has_content(RunOutcome(Results(weighed_models())))

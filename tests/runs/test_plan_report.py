@@ -40,7 +40,7 @@ def test_a_study_without_measurements_gets_a_report_of_its_plan(planned):
     for words in (
         "Measurement plan", "8 poses make the tool's position certain to", "the tolerance of 5.00 mm is met", "Not computed:",
         f"the curve bends at {how_many['knee_poses']} poses", "Every pose measured twice", "The order of the poses",
-        "What to do next", "What one more thing is worth", "Appendix: the run",
+        "What to do next", "What one addition is worth", "Appendix: the run",
     ):  # fmt: skip
         assert words in said, words
     assert "Calibration report" not in said

@@ -298,7 +298,7 @@ def write_report(material: Material, folder: Path, say: Say = nobody, advance: A
         parts = []
         every = sections()
         for k, section in enumerate(every, start=1):
-            if section.tells(material):
+            if section.applies(material):
                 parts.append((section.title, section.write(material)))
             advance(0.7 * k / len(every))
         n_figures = write_pdf(material.title, parts, folder, identity(material.request))

@@ -17,7 +17,7 @@ from calflow.study import StudyFile
 class Section:
     """A section of the report: its position, its function, and the table or document that it requires.
 
-    Anything else that it uses must come from the same stage. worth_telling: whether the results give it content; asked:
+    Anything else that it uses must come from the same stage. has_content: whether the results give it content; asked:
     whether the study asks for it.
     """
 
@@ -25,13 +25,13 @@ class Section:
     title: str
     needs: str
     write: Callable[[Material], list[Block]]
-    worth_telling: Callable[[RunOutcome], bool] = lambda outcome: True
+    has_content: Callable[[RunOutcome], bool] = lambda outcome: True
     asked: Callable[[StudyFile], bool] = lambda request: True
 
-    def tells(self, material: Material) -> bool:
+    def applies(self, material: Material) -> bool:
         """Whether its table exists, the study asks for it, and it has content."""
         is_there = not self.needs or self.needs in material.results
-        return is_there and self.asked(material.request) and self.worth_telling(material)
+        return is_there and self.asked(material.request) and self.has_content(material)
 
 
 def sections() -> list[Section]:

@@ -47,14 +47,14 @@ def _findings(outcome: RunOutcome) -> list[str]:
     problems = [
         f"left over: {outcome.lack_of_fit_words}"
         if finding.is_misfit
-        else f"{'suspected' if finding.is_suspicion else 'found'}: {_told(finding)}"
+        else f"{'suspected' if finding.is_suspicion else 'found'}: {_in_words(finding)}"
         for finding in outcome.findings
     ]
     unseen = outcome.diagnosis_summary.unseen
     return problems or [f"found: nothing that the model lacks{f'; {unseen}' if unseen else ''}"]
 
 
-def _told(finding: Finding) -> str:
+def _in_words(finding: Finding) -> str:
     """Return a finding with its cause, joint, size and gain."""
     gains = finding.status != "data_fault" and (finding.is_suspicion or shows_gain(finding))
     return f"{finding.in_short}; {gain_words(finding)}" if gains else finding.in_short

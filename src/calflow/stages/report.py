@@ -28,7 +28,7 @@ def _run(context: Context) -> Results:
 
     material = report_material(context.study, context.results, context.run_folder)
     write_report(material, context.folder, context.say, context.advance)
-    levels = material.effort_levels if CONTROLLER_SECTION.tells(material) else ()
+    levels = material.effort_levels if CONTROLLER_SECTION.applies(material) else ()
     return Results({EFFORT: to_frame(levels, EffortLevel)} if levels else {})
 
 

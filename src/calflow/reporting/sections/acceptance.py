@@ -17,7 +17,7 @@ from calflow.study import Acceptance, StudyFile
 PASSED, FAILED, NOT_YET = "✓ PASSED", "✗ FAILED", "NOT YET"
 LOOKS: dict[str, Look] = {PASSED: "dark", FAILED: "framed"}
 CONFIDENCE = 0.95  # of the bound on the share of poses within tolerance
-NO_TOLERANCE = "State the tolerance that the work needs: the report then says whether the robot passes."
+NO_TOLERANCE = "State the required tolerance: the report then says whether the robot passes."
 SIMULATED = "Simulated measurements: no robot was measured."
 KELVIN = 273.15
 DATE, OPEN = "date of the measurement", "open: not stated"

@@ -58,25 +58,25 @@ RIVALS_TOLD = 3  # rivals named with a finding
 WANDERED = "What the instrument reports shifts in the course of the measurement"
 
 
-def went(material: Material, causes: Sequence[Finding]) -> list[Block]:
+def candidates_figure(material: Material, causes: Sequence[Finding]) -> list[Block]:
     """Draw the candidates with the largest evidence, where there are any; causes: those in the extended model."""
     rows = _tested(material.candidates)[:CANDIDATES_SHOWN]
     if not rows or not material.findings:
         return []
     places = {(cause.cause, cause.joint) for cause in causes}
-    detailed = [f"{cause_name(row.cause, row.joint)} ({row.detail})" for row in rows]  # a detail says the part
+    detailed = [f"{cause_name(row.cause, row.joint)} ({row.detail})" for row in rows]
     names = [
         first_up(name if row.detail and len(name) <= LONGEST_NAME else place_name(row.cause, row.joint, row.part))
         for name, row in zip(detailed, rows, strict=True)
     ]
-    told, added = (
+    evidences, added = (
         np.array([-row.delta_bic for row in rows]),
         np.array([(row.cause, row.joint) in places for row in rows]),
     )
     p = [row.p_family for row in rows]
-    data = pd.DataFrame({"cause": names, "evidence": told, "chance_of_a_false_alarm": p, "in_the_model": added})
+    data = pd.DataFrame({"cause": names, "evidence": evidences, "chance_of_a_false_alarm": p, "in_the_model": added})
     words = EVIDENCE.format(percent=f"{100 * threshold(material):.2g}")
-    drawn = evidence(names, told, [chance_figure(chance) for chance in p], added)
+    drawn = evidence(names, evidences, [chance_figure(chance) for chance in p], added)
     return [Heading("Evidence of the candidates"), Plot("evidence", drawn, words, data)]
 
 
@@ -125,7 +125,7 @@ def _search(material: Material) -> list[Block]:
     """Draw the strongest candidates, and tabulate detection limits and causes that could not be tested."""
     rows = material.candidates
     causes = [finding for finding in material.findings if finding.is_cause and not finding.is_suspicion]
-    return [*went(material, causes), *limits(rows), *not_tested(rows)]
+    return [*candidates_figure(material, causes), *limits(rows), *not_tested(rows)]
 
 
 def gain_words(finding: Finding) -> str:
@@ -228,7 +228,7 @@ def _title(finding: Finding) -> str:
 
 def apart(finding: Finding, outcome: RunOutcome) -> list[str]:
     """Return words on what would distinguish a cause from its rivals."""
-    sentences, told_by = [], dict[str, list[SeparationRow]]()
+    sentences, by_poses = [], dict[str, list[SeparationRow]]()
     for row in outcome.separations:
         if (row.cause, row.joint) != (finding.cause, finding.joint):
             continue
@@ -237,8 +237,8 @@ def apart(finding: Finding, outcome: RunOutcome) -> list[str]:
             why = no_pose_words(cause_words(row.cause).name, cause_words(row.rival).name, after, row.unasked)
             sentences.append(f"{first_up(why)}: {row.means}.")
             continue
-        told_by.setdefault("The poses of diagnose/next_poses.csv" if row.proposed else "Further poses", []).append(row)
-    for poses, rows in told_by.items():
+        by_poses.setdefault("The poses of diagnose/next_poses.csv" if row.proposed else "Further poses", []).append(row)
+    for poses, rows in by_poses.items():
         rivals = listed([cause_name(row.rival, row.rival_joint) for row in rows], RIVALS_TOLD)
         least = min(row.separation_after_sd for row in rows)
         sentences.append(f"{poses} would distinguish it from {rivals}, by at least {least:.1f} standard deviations.")

@@ -102,7 +102,7 @@ def _controller_figures(material: Material) -> list[Block]:
     markers = {name: list(parts[f"marker {name}"].values()) for name in robot.markers}
     bars, located = parts.get("loop", {}), any(parts["base"][name].fitted for name in BASE_FIGURES)
     return [
-        *_worth(material),
+        *_fitted_without(material),
         Paragraph(f"{INTRODUCTION} {order}", keep=True),
         *figure_tables("joint", joints),
         *headed("Bars of the loop", *figure_tables("bar", {"length": list(bars.values())}), where=bars),
@@ -122,7 +122,7 @@ def zeros(robot: Robot, levels: Levels) -> np.ndarray:
     return added_to_readings(robot, robot_of(levels.alone["zeros and tool"]))
 
 
-def _worth(material: Material) -> list[Block]:
+def _fitted_without(material: Material) -> list[Block]:
     """Return words on what the figures were fitted without, and on any harm that they do."""
     levels = material.levels
     if levels is None:

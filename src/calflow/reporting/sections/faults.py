@@ -14,7 +14,7 @@ from calflow.reporting.section import Section
 
 LINES_NAMED = 12  # lines of a file that are listed
 FOUND = "Gross mistakes in the measurement file, the robot file or the set-up, found before any fit."
-DONE = {  # by action: what the table says, and what that means
+DONE = {  # by action: the table's entry, and a sentence
     "unsettled": (
         "nothing: settle it first",
         "Unsettled mistakes were left in: they affect the fit and the verdict, and no cause is named before they are settled.",

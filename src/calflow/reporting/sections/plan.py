@@ -42,7 +42,7 @@ CURVES = {"expected_sd_mm": "root mean square", "worst_sd_mm": "worst pose"}
 WORTH_TABLE = "select/worth.csv"
 GAPS = 5  # on the first page
 UNASKED = (
-    "Not computed: with isolability = true under [stages.select] this page says which causes these poses would show."
+    "Not computed: with isolability = true under [stages.select] this page says which causes these poses would detect."
 )
 EXPECTED_CAPTION = "Expected standard deviation of the predicted tool position over the task, by the number of poses."
 FIRST_POSES = 10  # poses in the table
@@ -279,7 +279,7 @@ def _first_poses(poses: pd.DataFrame, robot: Robot) -> list[Block]:
 POSES_SECTION = Section(70, "Planned poses", "select/certificate.json", _planned_poses, _to_measure)
 
 
-def _worth_of_additions(material: Material) -> list[Block]:
+def _additions(material: Material) -> list[Block]:
     """Tabulate the additions in descending order of gain."""
     rows = material.results.rows(WORTH_TABLE, Worth)
     cells = [
@@ -292,7 +292,7 @@ def _worth_of_additions(material: Material) -> list[Block]:
     return [Paragraph(ADDITIONS, keep=True), Table(head, cells, "lrrrrl", wide=0, size=8.4)]
 
 
-WORTH_SECTION = Section(72, "What one more thing is worth", WORTH_TABLE, _worth_of_additions)
+WORTH_SECTION = Section(72, "What one addition is worth", WORTH_TABLE, _additions)
 
 
 def _measuring_order(material: Material) -> list[Block]:

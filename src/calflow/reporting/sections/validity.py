@@ -42,7 +42,7 @@ IN_REGION = (
 
 
 class _Region(FileModel):
-    """The box in which a study says that the robot works."""
+    """The region in which the robot works, by the study."""
 
     region_min: Lengths3
     region_max: Lengths3

@@ -248,15 +248,15 @@ def lacked(outcome: RunOutcome) -> list[str | tuple[str, str]]:
     every = [(cause, _or_another(cause, label)) for cause, label in zip(causes, labels(causes), strict=True)]
     named = [pair for pair in every if not pair[0].is_suspicion]
     suspected = [name for cause, name in every if cause.is_suspicion]
-    worth = [pair for pair in named if not _in_vain(pair[0])]
+    worth = [pair for pair in named if not _gains_nothing(pair[0])]
     worth.sort(key=lambda pair: -np.nan_to_num(pair[0].gain[0]))  # a gain that is not known is none
-    vain = [name for cause, name in named if _in_vain(cause)]
+    without_gain = [name for cause, name in named if _gains_nothing(cause)]
     items: list[str | tuple[str, str]] = [(f"{first_up(name)}:", _line(cause)) for cause, name in worth[:CAUSES_LISTED]]
     if further := worth[CAUSES_LISTED:]:
         rest = listed(list(dict.fromkeys(cause.name for cause, _ in further)), len(further))
         items.append((f"And {plural(len(further), 'more cause')}:", f"{rest}."))
-    if vain:
-        items.append(("In the model, without a gain at held-out poses:", f"{listed(vain, 2)}."))
+    if without_gain:
+        items.append(("In the model, without a gain at held-out poses:", f"{listed(without_gain, 2)}."))
     if suspected:
         items.append(("Suspected, and left out of the model:", f"{listed(suspected, 3)}."))
     if summary.capped:
@@ -281,7 +281,7 @@ def _or_another(finding: Finding, name: str) -> str:
     return f"{name} or {'another' if n == 1 else f'one of {n} others'}"
 
 
-def _in_vain(finding: Finding) -> bool:
+def _gains_nothing(finding: Finding) -> bool:
     """Whether the step that added a cause shows no gain at held-out poses."""
     return math.isfinite(finding.gain[0]) and not finding.gain[1] > 0
 
