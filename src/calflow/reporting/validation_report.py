@@ -113,7 +113,7 @@ def _probability(summary: ValidationSummary) -> str:
     beyond = f"{plural(summary.beyond, 'measured point')} {are} beyond {asked}. " if summary.beyond else ""
     if summary.further_within is None or summary.task_within is None:
         return f"{beyond}So few poses do not show how probable it is that a further one is within {asked}."
-    decides = f" (asked for: {summary.confidence:g})"
+    decides = f" (required: {summary.confidence:g})"
     one, every = ("", decides) if summary.decided_by == "task" else (decides, "")
     return (
         f"{beyond}A further pose like these is within {asked} with a probability of {capped(summary.further_within)}{one}, and "
