@@ -1,12 +1,16 @@
 """Optimality: criteria of experimental design, as observability indices and as losses to minimise.
 
-A criterion is a function of the parameters' covariance, the inverse of the prior's plus the poses' information."""
+A criterion is a function of the parameters' covariance C, the inverse of the prior's plus the poses' information. It has a root of
+the parameters' weight matrix (n_parameters, r), with r = 0 where all count alike; the power of the sensitivities with which the
+multiplicative algorithm converges monotonically; the loss to be minimised; the slope F (n_parameters, r), |J F|² being the
+sensitivity of the loss to the information JᵀJ of a pose; and the gains of candidates (n,), from J C Jᵀ (n, n_axes, n_axes) and
+J C root (n, n_axes, r).
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 
@@ -34,27 +38,6 @@ def information(jacobians: np.ndarray, prior: np.ndarray, weights: np.ndarray | 
     weighted = jacobians * np.sqrt(np.broadcast_to(weights, len(jacobians)))[:, None, None]
     flat = weighted.reshape(-1, jacobians.shape[2])
     return np.asarray(prior + flat.T @ flat)
-
-
-class Criterion(Protocol):
-    """A criterion for which a set of poses is chosen."""
-
-    @property
-    def root(self) -> np.ndarray:
-        """A root of the weight matrix of the parameters, (n_parameters, r); r = 0 if all count alike."""
-
-    @property
-    def power(self) -> float:
-        """Power of the sensitivities with which the multiplicative algorithm converges monotonically."""
-
-    def loss(self, covariance: np.ndarray) -> float:
-        """Return the loss to be minimised."""
-
-    def slope(self, covariance: np.ndarray) -> np.ndarray:
-        """Return F (n_parameters, r): |J F|² is the sensitivity of the loss to the information JᵀJ of a pose."""
-
-    def gains(self, inside: np.ndarray, moved: np.ndarray) -> np.ndarray:
-        """Return each candidate's gain, (n,), from J C Jᵀ (n, n_axes, n_axes) and J C root (n, n_axes, r)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,3 +102,6 @@ class ToolError:
         # An inverse of three rows and columns takes a fifth of the time of as many equations as the task has directions.
         left = np.linalg.inv(np.eye(inside.shape[1]) + inside)
         return np.asarray(np.einsum("nab,nab->n", left, moved @ moved.transpose(0, 2, 1)))
+
+
+Criterion = ParameterCriterion | ToolError
