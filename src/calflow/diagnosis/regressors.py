@@ -79,20 +79,16 @@ H = TypeVar("H", bound=Hypothesis)
 
 
 @dataclass(frozen=True, eq=False)
-class CorrelatedPart:
-    """A part of a background: its basis functions in modes (n_modes, n_waves), and its variance's degrees of freedom."""
-
-    waves: np.ndarray
-    degrees_of_freedom: float
-
-
-@dataclass(frozen=True, eq=False)
 class ErrorCorrelation:
-    """Correlation of errors by a background: orthonormal modes (n, n_modes), their variances over the noise's, and its parts."""
+    """Correlation of errors by a background: orthonormal modes (n, n_modes), and their variances over the noise's.
+
+    parts: the basis functions of each part in modes, (n_modes, n_waves); part_freedom: degrees of freedom of each part's variance.
+    """
 
     modes: np.ndarray
     variance: np.ndarray
-    parts: tuple[CorrelatedPart, ...]
+    parts: tuple[np.ndarray, ...] = ()
+    part_freedom: tuple[float, ...] = ()
 
     def whiten(self, values: np.ndarray) -> None:
         """Multiply values (n, …) by (V/s²)^-1/2 in place, as these are the largest arrays."""
@@ -117,10 +113,10 @@ class ErrorCorrelation:
         """
         along, whole = along / np.sqrt(1 + self.variance)[:, None], np.maximum(visible, np.finfo(float).tiny)
         left, unsure = np.ones(len(whole)), np.zeros(len(whole))
-        for part in self.parts:
-            share = ((part.waves.T @ along) ** 2).sum(axis=0) / whole
+        for waves, freedom in zip(self.parts, self.part_freedom, strict=True):
+            share = ((waves.T @ along) ** 2).sum(axis=0) / whole
             left -= share
-            unsure += share**2 / part.degrees_of_freedom
+            unsure += share**2 / freedom
         return np.asarray(1 / (unsure + np.maximum(left, 0.0) ** 2 / of_noise))
 
 
@@ -150,11 +146,8 @@ class Background:
         left, value, _ = np.linalg.svd(scaled @ np.hstack(self.parts), full_matrices=False)
         kept = value**2 > SMALL_MODE
         turned = left[:, kept].T @ scaled
-        parts = tuple(
-            CorrelatedPart(turned @ part, freedom)
-            for part, freedom in zip(self.parts, self.degrees_of_freedom, strict=True)
-        )
-        return ErrorCorrelation(basis @ left[:, kept], value[kept] ** 2, parts)
+        parts = tuple(turned @ part for part in self.parts)
+        return ErrorCorrelation(basis @ left[:, kept], value[kept] ** 2, parts, self.degrees_of_freedom)
 
 
 Rows = slice | np.ndarray

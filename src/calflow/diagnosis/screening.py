@@ -354,7 +354,7 @@ class Screening(Generic[H]):
             freedom = np.median(self.amplitude_freedom[block.columns], axis=1)
             left = np.maximum(np.minimum(freedom, self.degrees_of_freedom - block.degrees_of_freedom), 1.0)
             weighed = self._weighed(block, self.score[block.columns, None], np.array([self.chi2]))
-            p = self._p(weighed.squared[:, 0], self.chi2, block.degrees_of_freedom, self.degrees_of_freedom, left)
+            p = f_test(weighed.squared[:, 0], self.chi2, block.degrees_of_freedom, self.degrees_of_freedom, left)
             drops, cost = weighed.drops[:, 0], weighed.cost[:, 0]
             scores += [
                 Score(self.regressors.candidates[member], float(drops[k]), float(drops[k] / self.chi2),
@@ -426,31 +426,26 @@ class Screening(Generic[H]):
             for block, contest in zip(self._blocks, contests, strict=True):
                 whitened = np.einsum("mij,mjk->mik", block.roots, score[block.columns, part])
                 largest = contest.won((whitened**2).sum(axis=1))
-                p = self._p(largest, chi2[part], contest.degrees_of_freedom, n)  # priors are drawn too: nothing is lost
+                p = f_test(largest, chi2[part], contest.degrees_of_freedom, n)  # priors are drawn too: nothing is lost
                 np.minimum.at(smallest[:, part], contest.place, p)
         scans = np.array([worth(row) for row in smallest])
         adjusted = -np.expm1(scans[:, None] * np.log1p(-np.minimum(smallest, 1 - 1e-16)))
         tests = worth(adjusted.min(axis=0)) if places else 1.0
         return Family(dict(zip(places, scans, strict=True)), tests, MATERIAL * r.posed)
 
-    def _p(
-        self,
-        drops: np.ndarray,
-        chi2: float | np.ndarray,
-        spent: np.ndarray,
-        total: float,
-        freedom: np.ndarray | None = None,
-    ) -> np.ndarray:
-        """Return the p-values of F tests of drops (n_members, …) of chi² (…), which has total degrees of freedom.
 
-        spent (n_members,) are each member's degrees of freedom, freedom (n_members,) those of the denominator's variance, by
-        default all that are left.
-        """
-        shape = (-1, *[1] * (drops.ndim - 1))
-        degrees_of_freedom = spent.reshape(shape)
-        left = np.maximum(total - degrees_of_freedom, 1.0)
-        ratio = drops / degrees_of_freedom / (np.maximum(chi2 - drops, 1e-12 * chi2) / left)
-        return np.asarray(scipy.special.fdtrc(degrees_of_freedom, left if freedom is None else freedom, ratio))
+def f_test(
+    drops: np.ndarray, chi2: float | np.ndarray, spent: np.ndarray, total: float, freedom: np.ndarray | None = None
+) -> np.ndarray:
+    """Return the p-values of F tests of drops (n_members, …) of chi² (…), which has total degrees of freedom.
+
+    spent (n_members,) are each member's degrees of freedom, freedom (n_members,) those of the denominator's variance, by default
+    all that are left.
+    """
+    degrees_of_freedom = spent.reshape(-1, *[1] * (drops.ndim - 1))
+    left = np.maximum(total - degrees_of_freedom, 1.0)
+    ratio = drops / degrees_of_freedom / (np.maximum(chi2 - drops, 1e-12 * chi2) / left)
+    return np.asarray(scipy.special.fdtrc(degrees_of_freedom, left if freedom is None else freedom, ratio))
 
 
 def _drawn(rng: np.random.Generator, n: int, precision: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:

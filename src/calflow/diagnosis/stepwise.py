@@ -27,11 +27,10 @@ from itertools import chain, combinations
 from typing import Any, Generic, Self
 
 import numpy as np
-import scipy
 
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import Candidate, H, Regressors
-from calflow.diagnosis.screening import INVISIBLE, Catalogue, Family, Score, Screening, by_place
+from calflow.diagnosis.screening import INVISIBLE, Catalogue, Family, Score, Screening, by_place, f_test
 from calflow.effects.base import Cause
 from calflow.estimation.variance_components import (
     LOG_PRIOR,
@@ -479,12 +478,10 @@ class Exchange(Generic[H]):
         if not shown.any():
             return 1.0
         left = self.score[j] - taken @ self.score[i]
-        drop = float((((vectors.T @ left)[shown]) ** 2 / values[shown]).sum())
-        degrees_of_freedom = int(shown.sum())
-        rest = max(self.screening.degrees_of_freedom - degrees_of_freedom, 1.0)
-        chi2 = max(self.screening.chi2 - self.scores[i].drop - drop, 1e-12 * self.screening.chi2)
-        single = float(scipy.special.fdtrc(degrees_of_freedom, rest, drop / degrees_of_freedom / (chi2 / rest)))
-        return self.family.p(replace(self.scores[j], p=single))
+        drop = (((vectors.T @ left)[shown]) ** 2 / values[shown]).sum(keepdims=True)
+        chi2 = self.screening.chi2 - self.scores[i].drop
+        (single,) = f_test(drop, chi2, shown.sum(keepdims=True), self.screening.degrees_of_freedom)
+        return self.family.p(replace(self.scores[j], p=float(single)))
 
 
 Place = tuple[str, str]
