@@ -406,7 +406,7 @@ def weighed(
     Causes that the background explains better, or that do not carry over, are dropped, and the search continues from the others; it
     ends where it would start from the same causes again.
     """
-    first, now = extension.first, extension
+    first, now, search = extension.first, extension, Stepwise(acceptance, extension.first, rng, say, lambda share: None)
     searched, offered = set[frozenset[Cause]](), set[frozenset[Cause]]()
     while True:
         now, n_causes = replace(now, fitted=beside_background(now.fitted, basis)), len(now.fitted.causes)
@@ -426,7 +426,7 @@ def weighed(
             now = replace(extended(trial, [trial], first), trail=now.trail)
             break
         # Once: where that gives way again, the search goes on beside the background.
-        if held not in offered and (instead := _named_instead(now.fitted, left, basis, catalogue, acceptance, first)):
+        if held not in offered and (instead := _named_instead(now.fitted, left, basis, catalogue, search)):
             offered.add(held)
             say(f"{words(instead)} in the place of an unexplained error")
             now = replace(now, fitted=now.fitted.with_causes([*now.fitted.causes, instead]))
@@ -436,34 +436,30 @@ def weighed(
             inputs = ", ".join(dict.fromkeys(map(" and ".join, left.inputs)))
             say(f"left over, smooth in {inputs}: causes are tested beside it")
         from_start = replace(start, background=left, shared=beside.shared)
-        now = _searched(from_start, beside, extension, catalogue, acceptance, rng, say)
+        now = _searched(from_start, beside, catalogue, search)
         if frozenset(now.fitted.causes) == held:
             break
     return replace(now, findings=_judged(now, unnamed(now.fitted, basis, catalogue.variants)))
 
 
 def _named_instead(
-    fitted: Fitted,
-    left: Background | None,
-    basis: BackgroundBasis,
-    catalogue: Catalogue,
-    acceptance: CauseAcceptance,
-    first: Screened[Cause],
+    fitted: Fitted, left: Background | None, basis: BackgroundBasis, catalogue: Catalogue, search: Stepwise[Cause]
 ) -> Cause | None:
     """Return the best candidate beside all parts of the background but those that its family is a general smooth function of.
 
     None where that is of no such family, or there are as many causes as may be. Beside a background in time, no step or drift of
     the device could be significant.
     """
-    if len(fitted.causes) >= acceptance.most:
+    if len(fitted.causes) >= search.acceptance.most:
         return None
     inputs = {name for part in left.inputs for name in part} if left else set[str]()
     kin = {effect.id: effect.named_in() for effect in catalogue.effects if not inputs.isdisjoint(effect.named_in())}
     if not kin:
         return None
     others = background(fitted, basis, [*chain.from_iterable(kin.values())])
-    trial = FittedTrial(first.family, first.degrees_of_freedom, replace(fitted, background=others), catalogue)
-    passed = [score for score in trial.linearisation.beside.scores if acceptance.accepts(score, first.family)]
+    family, beside = search.first.family, replace(fitted, background=others)
+    trial = FittedTrial(family, search.first.degrees_of_freedom, beside, catalogue)
+    passed = [score for score in trial.linearisation.beside.scores if search.acceptance.accepts(score, family)]
     best = min(passed, key=lambda score: score.cost, default=None)
     return trial.finest(best).cause if best and best.cause.id in kin else None
 
@@ -483,29 +479,21 @@ def _weakest(fitted: Fitted, against: dict[Cause, float]) -> Cause | None:
     return min(failing, key=lambda cause: against[cause], default=None)
 
 
-def _searched(
-    start: Fitted,
-    beside: Fitted,
-    extension: Extended,
-    catalogue: Catalogue,
-    acceptance: CauseAcceptance,
-    rng: np.random.Generator,
-    say: Callable[[str], None],
-) -> Extended:
+def _searched(start: Fitted, beside: Fitted, catalogue: Catalogue, search: Stepwise[Cause]) -> Extended:
     """Return the result of a search continued from a model with its background."""
-    first = extension.first
+    first = search.first
     begin = FittedTrial(first.family, first.degrees_of_freedom, start, catalogue)
     if not beside.causes and start.background is not None:
-        first = Linearisation.at(start, catalogue).screened(rng, first.family)
+        screened = Linearisation.at(start, catalogue).screened(search.rng, first.family)
+        search = replace(search, first=screened)
     fitted_trials = [replace(begin, fitted=beside)] if beside.causes else []
     tried: list[Trial[Cause]] = [begin, *fitted_trials]
-    search = Stepwise(acceptance, first, rng, say, lambda share: None)
     best = _second_thought(search.settled(tried), tried, search)
     for trial in fitted_trials:
         more = len(best.causes) - len(trial.causes)
         if more > 0 and search.stands(trial) and best.cost > trial.cost - SPLIT * more:
             best = trial  # as in an exchange, more causes must be clearly better
-    return replace(extended(best, tried, first), first=extension.first)
+    return extended(best, tried, first)
 
 
 def _second_thought(best: Trial[Cause], tried: list[Trial[Cause]], search: Stepwise[Cause]) -> Trial[Cause]:
