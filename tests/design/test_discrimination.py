@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations, permutations
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 
 from calflow.design.discrimination import MOST_NEXT_POSES
 from calflow.design.planned import Planned
-from calflow.design.t_optimality import Explanation, TCriterion, propose
+from calflow.design.t_optimality import TCriterion, propose
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.stepwise import WITHIN, Linearisation
@@ -47,12 +48,11 @@ def explanations(fitted, *rivals):
     """The gear ratio as it was fitted, and rivals in its place."""
     looked = Linearisation.at(fitted, Catalogue(rivals, {})).apart([RATIO]).scores
     scores = [next(score for score in looked if score.cause == cause) for cause in (RATIO, *rivals)]
-    return [Explanation(score, score.cost - scores[0].cost) for score in scores]
+    return [replace(score, cost=score.cost - scores[0].cost) for score in scores]
 
 
 def separation(fitted, true, rival, conditions):
     """What a rival's best fit leaves of the true cause's effect in the data and at further rows, by plain least squares."""
-    true, rival = true.score, rival.score
     base = Model(ROBOT, (*MODEL.effects[:-1], true.cause, rival.cause))
     known = np.delete(fitted.fit.estimate, MODEL.columns(RATIO))
     conditions = np.hstack([fitted.data.conditions, conditions])

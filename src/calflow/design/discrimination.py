@@ -12,7 +12,7 @@ import numpy as np
 
 from calflow.design.candidates import candidates
 from calflow.design.planned import Planned
-from calflow.design.t_optimality import Explanation, Pair, TCriterion, closest, propose
+from calflow.design.t_optimality import Pair, TCriterion, closest, propose
 from calflow.diagnosis.diagnosis import Diagnosis
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.stepwise import Detection
@@ -211,9 +211,9 @@ def _asked(
     choices: Measurements,
 ) -> Question:
     """Return poses that separate a finding from some rivals."""
-    explanations = [Explanation(finding.own, 0.0), *(Explanation(r.score, r.cost) for r in rivals if r.score)]
-    criteria = TCriterion.between(fitted, explanations, choices, planned)
-    before = {pair: closest(criteria, pair) for pair in combinations(range(len(explanations)), 2)}
+    scores = [replace(finding.own, cost=0.0), *(replace(r.score, cost=r.cost) for r in rivals if r.score)]
+    criteria = TCriterion.between(fitted, scores, choices, planned)
+    before = {pair: closest(criteria, pair) for pair in combinations(range(len(scores)), 2)}
     alone = {pair: propose(criteria, [pair], MOST_NEXT_POSES)[1][pair] for pair in before}
     chosen, together = _together(criteria, alone)
     after = alone | together

@@ -24,14 +24,6 @@ from calflow.measurements.measurements import Measurements
 Pair = tuple[int, int]  # of explanations, by their numbers
 
 
-@dataclass(frozen=True)
-class Explanation:
-    """A cause in place of a finding with its score, and the cost of its place relative to the finding's."""
-
-    score: Score
-    cost: float
-
-
 @dataclass(frozen=True, eq=False)
 class Imitation:
     """The Jacobian (n_poses, n_units, n) at further poses of an explanation and all other parameters.
@@ -102,17 +94,19 @@ class TCriterion:
 
     @staticmethod
     def between(
-        fitted: Fitted, explanations: Sequence[Explanation], choices: Measurements, planned: Planned
+        fitted: Fitted, scores: Sequence[Score], choices: Measurements, planned: Planned
     ) -> dict[Pair, TCriterion]:
         """Return the criterion of each pair of explanations of a finding, by indices of the true and the fitted one.
 
-        The first explanation is in the fitted model, the others are not; choices: the poses to choose from; planned: how a
-        further pose will be measured.
+        Args:
+            fitted: the fitted model.
+            scores: of the causes in the finding's place, with costs relative to the finding's; the first cause is in the model.
+            choices: the poses to choose from.
+            planned: how a further pose will be measured.
         """
         model, fit = fitted.model, fitted.fit
-        scores = [explanation.score for explanation in explanations]
         # The cost of parameters and variants, up to a constant of the finding.
-        costs = [float(one.cost - fit.residual.size * np.log1p(-one.score.share)) for one in explanations]
+        costs = [float(score.cost - fit.residual.size * np.log1p(-score.share)) for score in scores]
         both = replace(model, effects=(*model.effects, *(score.cause for score in scores[1:])))
         columns = [both.columns(score.cause) for score in scores]
         rest = np.setdiff1d(np.arange(len(both.parameters)), np.concatenate(columns))
@@ -134,7 +128,7 @@ class TCriterion:
             return TCriterion.of(information[np.ix_(own, own)], moment, energy, new[..., columns[true]] @ effect, new[..., own],
                                  costs[other] - costs[true], imitations[other])  # fmt: skip
 
-        return {pair: criterion(*pair) for pair in permutations(range(len(explanations)), 2)}
+        return {pair: criterion(*pair) for pair in permutations(range(len(scores)), 2)}
 
     @property
     def separation(self) -> float:
