@@ -266,16 +266,24 @@ def move_mixture(independent: float) -> list[tuple[Move, float]]:
 
 
 def propose_student(u: np.ndarray, rng: np.random.RandomState) -> tuple[np.ndarray, np.ndarray]:
-    """Return draws (n_walkers, n_dimensions) of a multivariate Student t of unit scale, and log Hastings ratios for emcee.
-
-    It has twice the dimensions in degrees of freedom: with few, radii in many dimensions would differ from a normal's.
-    """
-    n = u.shape[1]
-    degrees = max(LEAST_DEGREES, 2 * n)
+    """Return draws (n_walkers, n_dimensions) of a multivariate Student t of unit scale, and log Hastings ratios for emcee."""
+    degrees = _degrees(u.shape[1])
     mixing = rng.chisquare(degrees, size=(len(u), 1)) / degrees
     proposed = rng.standard_normal(u.shape) / np.sqrt(mixing)
-    log_density = scipy.stats.multivariate_t(shape=np.eye(n), df=degrees).logpdf
-    return proposed, log_density(u) - log_density(proposed)
+    return proposed, log_student(u) - log_student(proposed)
+
+
+def _degrees(n_dimensions: int) -> int:
+    """Return twice the dimensions: with few degrees of freedom, radii in many dimensions would differ from a normal's."""
+    return max(LEAST_DEGREES, 2 * n_dimensions)
+
+
+def log_student(u: np.ndarray) -> np.ndarray:
+    """Return the log density (n,) of the proposal's Student t at u (n, n_dimensions)."""
+    n, degrees = u.shape[1], _degrees(u.shape[1])
+    log_gamma = scipy.special.gammaln
+    constant = log_gamma((degrees + n) / 2) - log_gamma(degrees / 2) - 0.5 * n * np.log(degrees * np.pi)
+    return np.asarray(constant - 0.5 * (degrees + n) * np.log1p((u**2).sum(axis=1) / degrees))
 
 
 def _sum_of_squares(problem: LeastSquares) -> Squares:
