@@ -117,3 +117,18 @@ def test_lengths_are_those_from_before_a_model_took_its_share():
     beside = learnt(q, left - taken.reshape(120, 3), 0.0, 0.0, rng, moved)
     assert beside.length[:2] == pytest.approx(whole.length[:2], rel=0.15)
     assert beside.size == pytest.approx(whole.size, rel=0.15)  # 0.67 of it from what is left alone
+
+
+def test_lengths_beside_wide_nearly_dependent_priors():
+    """Fails if rounding in products of such priors, as of a base and a tool that imitate each other, ends the search."""
+    rng = np.random.default_rng(12)
+    q = rng.uniform(-2, 2, (60, 2))
+    likeness = np.exp(-0.5 * ((q[:, None] - q) ** 2).sum(axis=2) / 1.5**2)
+    left = 1e-4 * np.linalg.cholesky(likeness + 1e-9 * np.eye(60)) @ rng.standard_normal((60, 3))
+    left += 1e-5 * rng.standard_normal((60, 3))
+    base = np.broadcast_to(100 * np.eye(3), (60, 3, 3))
+    tool = base + 1e-4 * rng.standard_normal((60, 3, 3))
+    once = learnt(q, left, 0.0, 0.0, rng, base)
+    twice = learnt(q, left, 0.0, 0.0, rng, np.concatenate([base, base, tool], axis=2))
+    assert twice.length == pytest.approx(once.length, rel=0.1)
+    assert twice.size == pytest.approx(once.size, rel=0.1)

@@ -148,13 +148,15 @@ def _cost(logs: np.ndarray, apart: np.ndarray, y: np.ndarray, own: np.ndarray) -
     covariance = smooth + (rest + JITTER * size) * np.eye(len(y))
     factor = scipy.linalg.cho_factor(covariance, lower=True)
     along = scipy.linalg.cho_solve(factor, own.reshape(len(y), -1)).reshape(own.shape)
-    root = np.linalg.cholesky(np.eye(own.shape[2]) + np.einsum("nak,nal->kl", own, along))
+    # By QR: rounding in the Gram matrix of wide, nearly dependent priors (base and tool) would swallow the identity.
+    white = scipy.linalg.solve_triangular(factor[0], own.reshape(len(y), -1), lower=True).reshape(-1, own.shape[2])
+    root = np.linalg.qr(np.vstack([np.eye(own.shape[2]), white]), mode="r").T
     absorbed = scipy.linalg.solve_triangular(root, along.reshape(-1, len(root)).T, lower=True).T.reshape(own.shape)
     weights = scipy.linalg.cho_solve(factor, y) - absorbed @ np.einsum("nak,na->k", absorbed, y)
     spread = y.shape[1] * scipy.linalg.cho_solve(factor, np.eye(len(y))) - weights @ weights.T
     spread -= np.einsum("nak,mak->nm", absorbed, absorbed, optimize=True)
     value = 0.5 * float(np.vdot(y, weights)) + y.shape[1] * float(np.log(np.diag(factor[0])).sum())
-    value += float(np.log(np.diag(root)).sum())
+    value += float(np.log(np.abs(np.diag(root))).sum())
     by_smooth = spread * smooth
     slope = np.array(
         [
