@@ -7,7 +7,6 @@ import pkgutil
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from calflow.deployment.run_outcome import RunOutcome
 from calflow.reporting.blocks import Block
 from calflow.reporting.material import Material
 from calflow.study import StudyFile
@@ -25,7 +24,7 @@ class Section:
     title: str
     needs: str
     write: Callable[[Material], list[Block]]
-    has_content: Callable[[RunOutcome], bool] = lambda outcome: True
+    has_content: Callable[[Material], bool] = lambda material: True
     asked: Callable[[StudyFile], bool] = lambda request: True
 
     def applies(self, material: Material) -> bool:

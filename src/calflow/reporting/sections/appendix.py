@@ -57,22 +57,15 @@ def _identified(material: Material) -> list[tuple[str, str] | str]:
     if "identify/summary.json" not in material.results:
         return []
     summary = material.summary
-    starts = f"{summary.starts_agreeing} of {summary.starts} agree"
-    return [
-        "outcome",
+    facts = [
         ("noise", material.certainty.noise),
-        ("starting points", starts),
+        ("starting points", f"{summary.starts_agreeing} of {summary.starts} agree"),
         ("fit of identify", summary.solver.words),
-        *_diagnosed(material),
-        *_placement(material),
     ]
-
-
-def _diagnosed(material: Material) -> list[tuple[str, str]]:
-    if "diagnose/summary.json" not in material.results:
-        return []
-    summary = material.diagnosis_summary
-    return [("fit of diagnose", summary.solver.words), ("causes tested", str(summary.causes_tested))]
+    if "diagnose/summary.json" in material.results:
+        diagnosed = material.diagnosis_summary
+        facts += [("fit of diagnose", diagnosed.solver.words), ("causes tested", str(diagnosed.causes_tested))]
+    return ["outcome", *facts, *_placement(material)]
 
 
 def _placement(material: Material) -> list[tuple[str, str]]:

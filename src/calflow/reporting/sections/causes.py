@@ -144,17 +144,18 @@ def gain_words(finding: Finding) -> str:
 
 
 def _interval(finding: Finding) -> str:
-    low, high = map(_signed, finding.gain[1:])
+    low, high = (number(end, ".3f") for end in finding.gain[1:])
     return f"95 % interval {low} to {high} {finding.error_unit}"
+
+
+def _gain_cells(finding: Finding) -> tuple[str, str]:
+    gain, low, high = (number(value, ".3f") for value in finding.gain)
+    return (gain, f"{low} … {high}") if shows_gain(finding) else ("–", "–")
 
 
 def shows_gain(finding: Finding) -> bool:
     """Whether a gain can be reported: it is known, and not exactly zero as for what varies from pose to pose."""
     return math.isfinite(finding.gain[0]) and any(float(f"{value:.3f}") for value in finding.gain)
-
-
-def _signed(value: float) -> str:
-    return number(value, ".3f")
 
 
 def still_unexplained(left: Sequence[Finding], misfit: str) -> list[Block]:
@@ -203,7 +204,7 @@ def _opening(material: Material, every: Sequence[Finding]) -> list[Block]:
          finding.amount if finding.is_cause and finding.unit else "–",
          "suspected" if finding.is_suspicion else STATUS.get(finding.status, finding.status),
          chance_figure(finding.p_family), sureness(finding.name_probability),
-         *((_signed(finding.gain[0]), " … ".join(map(_signed, finding.gain[1:]))) if shows_gain(finding) else ("–", "–")))
+         *_gain_cells(finding))
         for finding in causes
     ]  # fmt: skip
     gain = f"gain [{causes[0].error_unit}]"

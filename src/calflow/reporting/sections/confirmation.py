@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from calflow.diagnosis.replication import CarriedAccuracy, ConfirmedCause
 from calflow.files.deferred import pd
-from calflow.files.words import mm
+from calflow.files.words import mm, number
 from calflow.reporting.blocks import Block, Paragraph, Plot, Table
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
@@ -49,7 +49,7 @@ def _confirmation(material: Material) -> list[Block]:
     curves = material.tables["diagnose/confirmation_curves.csv"]
     accuracy = material.results.rows("diagnose/confirmation_accuracy.csv", CarriedAccuracy)
     cells = [
-        (f"joint {cause.joint}", _number(cause.correlation, ".3f"), _either(cause.rms_here_urad, cause.rms_here_um, "µm"),
+        (f"joint {cause.joint}", number(cause.correlation, ".3f"), _either(cause.rms_here_urad, cause.rms_here_um, "µm"),
          _either(cause.rms_there_urad, cause.rms_there_um, "µm"), _either(cause.common_deg, cause.common_mm, "mm"), cause.words)
         for cause in material.results.rows("diagnose/confirmation.csv", ConfirmedCause)
     ]  # fmt: skip
@@ -81,11 +81,7 @@ def _carried(accuracy: Sequence[CarriedAccuracy]) -> str:
 
 def _either(revolute: float, slide: float, unit: str) -> str:
     """Return a revolute joint's figure in the column's unit, or a slide's with its unit."""
-    return f"{slide:.0f} {unit}" if math.isfinite(slide) else _number(revolute, ".0f")
-
-
-def _number(value: float, form: str) -> str:
-    return format(value, form) if math.isfinite(value) else "–"
+    return f"{slide:.0f} {unit}" if math.isfinite(slide) else number(revolute, ".0f")
 
 
 CONFIRMATION_SECTION = Section(57, "Confirmation by an independent series", "diagnose/confirmation.csv", _confirmation)

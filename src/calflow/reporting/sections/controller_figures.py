@@ -167,6 +167,9 @@ def _base(base: Mapping[str, Figure], known: bool) -> list[Block]:
 
 
 CONTROLLER_SECTION = Section(
-    20, "Figures for the controller", "identify/parameters.csv", _controller_figures,
-    lambda outcome: any(row.effect == Geometry.id for row in outcome.fitted_parameters),
-)  # fmt: skip
+    20,
+    "Figures for the controller",
+    "identify/parameters.csv",
+    _controller_figures,
+    lambda material: material.has_figures,
+)

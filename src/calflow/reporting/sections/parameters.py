@@ -129,15 +129,13 @@ def _parameters(material: Material) -> list[Block]:
     scaled["estimate_in_prior_sd"] = (scaled["estimate"] - scaled["nominal"]) / scaled["prior_sd"]
     scaled["sd_in_prior_sd"] = scaled["sd"] / scaled["prior_sd"]
     number = Counter((_group(row), row.part) for row in free)
-    single = np.array([number[_group(row), row.part] <= MOST_FIGURES for row in free])
-    drawn = estimates(
-        [cut(_place(row)) for row, alone in zip(free, single, strict=True) if alone],
-        [_group(row) for row, alone in zip(free, single, strict=True) if alone],
-        scaled["estimate_in_prior_sd"].to_numpy()[single],
-        scaled["sd_in_prior_sd"].to_numpy()[single],
-        scaled["prior_share"].to_numpy()[single] > BY_PRIOR,
+    alone = [row for row in free if number[_group(row), row.part] <= MOST_FIGURES]
+    values, sds, shares = (
+        scaled.loc[scaled["parameter"].isin({row.parameter for row in alone}), name].to_numpy(dtype=float)
+        for name in ("estimate_in_prior_sd", "sd_in_prior_sd", "prior_share")
     )
-    curves = "" if single.all() else CURVES
+    drawn = estimates([cut(_place(row)) for row in alone], list(map(_group, alone)), values, sds, shares > BY_PRIOR)
+    curves = CURVES * (len(alone) < len(free))
     return [
         Paragraph(
             LEGEND.format(of_links=DH if robot.kinematics in CONVENTIONS else ORIGINS)
