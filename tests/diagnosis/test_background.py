@@ -9,16 +9,16 @@ import pytest
 
 from calflow.diagnosis.background import BackgroundBasis, Sizes, background, beside_background
 from calflow.diagnosis.extension import unnamed
-from calflow.diagnosis.misfit import _together
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.stepwise import Linearisation
+from calflow.diagnosis.unexplained import _together
 from calflow.diagnosis.verdict import TEMPERED, WITHIN
 from calflow.effects import catalogue
 from calflow.effects.base import Cause
 from calflow.measurements.measurements import Measurements
 from calflow.model import build
 from diagnosis.found import cause, hidden, start
-from diagnosis.test_remainder import fitted
+from diagnosis.test_unexplained import fitted
 from estimation.data import SIGMA, measured
 from robots import industrial
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from calflow.diagnosis.extension import BlocksLeftOut, blocks_left_out, carried_over
 from diagnosis.found import cause, hidden, start
-from diagnosis.test_remainder import fitted
+from diagnosis.test_unexplained import fitted
 from estimation.data import SIGMA
 
 

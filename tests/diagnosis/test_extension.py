@@ -17,7 +17,7 @@ from calflow.estimation.fit import fit_reweighted
 from calflow.estimation.noise import Noise
 from calflow.model import Model
 from diagnosis.found import cause, hidden, start
-from diagnosis.test_remainder import fitted
+from diagnosis.test_unexplained import fitted
 from estimation.data import SIGMA
 
 TESTED = ("joint-eccentricity", "gear-ratio-error", "joint-compliance", "base-compliance", "periodic-joint-error")

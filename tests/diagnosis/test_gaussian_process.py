@@ -10,7 +10,7 @@ from calflow.effects.base import Cause
 from calflow.estimation.accuracy import errors
 from calflow.estimation.smooth_functions import Shift
 from calflow.model import Model
-from diagnosis.test_remainder import fitted
+from diagnosis.test_unexplained import fitted
 from estimation.data import SIGMA
 
 

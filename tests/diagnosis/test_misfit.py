@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calflow.diagnosis.misfit import MisfitRegion, largest, misfit
-from diagnosis.test_remainder import fitted
+from diagnosis.test_unexplained import fitted
 
 RNG = 3
 

@@ -21,7 +21,7 @@ from calflow.files.problems import InputError
 from calflow.files.tables import from_frame, to_frame
 from diagnosis.found import cause, hidden, start
 from diagnosis.test_misfit import rng, rough
-from diagnosis.test_remainder import fitted
+from diagnosis.test_unexplained import fitted
 from diagnosis.test_verdict import judged, score
 from estimation.data import calibration
 

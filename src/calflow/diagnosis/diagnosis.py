@@ -16,19 +16,11 @@ from calflow.diagnosis import FALSE_ALARM
 from calflow.diagnosis.background import BackgroundBasis
 from calflow.diagnosis.extension import Extended, extend, weighed, weighed_against
 from calflow.diagnosis.fitted import Fitted
-from calflow.diagnosis.misfit import (
-    Growth,
-    Misfit,
-    MisfitRegion,
-    UnexplainedStructure,
-    growth_of_repeats,
-    growth_of_residuals,
-    misfit,
-    suspected,
-    unexplained,
-)
+from calflow.diagnosis.misfit import Misfit, MisfitRegion, misfit
+from calflow.diagnosis.noise_growth import Growth, growth_of_repeats, growth_of_residuals
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.stepwise import SHARES, CauseAcceptance, Linearisation, words
+from calflow.diagnosis.unexplained import UnexplainedStructure, suspected, unexplained
 from calflow.diagnosis.unrepeated import Standstills
 from calflow.diagnosis.verdict import (
     DeployedCauses,
@@ -266,7 +258,7 @@ def search_causes(
             extended, grown = noisier, growth.levelled(noisier.fitted)
     if grown:
         say(f"the noise grows with range: {rounded(1e6 * grown.slope)} µm/m, p = {grown.p:.2g}")
-    significance = SHARES["remainder"] * false_alarm
+    significance = SHARES["unexplained"] * false_alarm
     at_rest = [standstills.unexplained(k) for k in standstills.joints]
     left = unexplained(extended.fitted, significance, rng("decoys"), say, at_rest, standstills.correlation)
     every = Catalogue.of(train, have)

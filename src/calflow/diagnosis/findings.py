@@ -20,9 +20,11 @@ import scipy
 
 from calflow.diagnosis.diagnosis import Diagnosis
 from calflow.diagnosis.fitted import Fitted
-from calflow.diagnosis.misfit import POSE, RANGE, Growth, Misfit, UnexplainedStructure
+from calflow.diagnosis.misfit import Misfit
+from calflow.diagnosis.noise_growth import RANGE, Growth
 from calflow.diagnosis.screening import Family, Score, Screening, by_place
 from calflow.diagnosis.stepwise import kindred
+from calflow.diagnosis.unexplained import POSE, UnexplainedStructure
 from calflow.diagnosis.unrepeated import Lever
 from calflow.diagnosis.verdict import Rival, Verdict, amplitude, found_amplitude
 from calflow.effects import Effect, catalogue

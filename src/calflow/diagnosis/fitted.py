@@ -23,6 +23,7 @@ from calflow.model import Model
 
 HUBER = 4.5  # robust standard deviations from which rows are down-weighted
 SETTLED = 0.1  # relative change of noise and weights below which a fit is not repeated
+MOST_LEVERAGE = 0.95  # of a residual, by which it is studentised
 WEIGHINGS = 3  # fits at most, in which the weights of outliers settle
 
 
@@ -121,6 +122,16 @@ class Fitted:
     def beside(self) -> Regressors[Cause]:
         """The model linearised without further effects, whitened by its background."""
         return self.regressors(()) if self.background else self.alone
+
+    @cached_property
+    def studentised(self) -> np.ndarray:
+        """Studentised residuals of each row, (n_rows, n_units), nan where a row has fewer units."""
+        every = np.full((len(self.data), max(len(observed.units) for observed in self.model.observations)), np.nan)
+        for rows, residual, jacobian in self.problem.linearised(self.fit.estimate):
+            leverage = np.einsum("rai,ij,raj->ra", jacobian, self.fit.covariance, jacobian, optimize=True)
+            freed = residual / np.sqrt(np.maximum(1 - leverage, 1 - MOST_LEVERAGE))
+            every[rows[:, None], np.arange(residual.shape[1])] = freed
+        return every
 
     @property
     def outlier_loss(self) -> float:

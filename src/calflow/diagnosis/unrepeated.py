@@ -18,8 +18,8 @@ import scipy
 
 from calflow.diagnosis.background import BackgroundBasis, components_beside, each_pose, uneven_causes
 from calflow.diagnosis.fitted import Fitted
-from calflow.diagnosis.misfit import POSE, SUSPECTED, UnexplainedStructure
 from calflow.diagnosis.regressors import Background
+from calflow.diagnosis.unexplained import POSE, SUSPECTED, UnexplainedStructure
 from calflow.effects.base import UNITS, JointError, Term
 from calflow.estimation.accuracy import judged_unit
 from calflow.estimation.smooth_functions import SIZE

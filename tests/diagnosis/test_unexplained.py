@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from calflow.diagnosis.fitted import Fitted
-from calflow.diagnosis.misfit import SUSPECTED, UnexplainedStructure, growth_of_residuals, suspected, unexplained
+from calflow.diagnosis.noise_growth import growth_of_residuals
 from calflow.diagnosis.screening import Catalogue, by_place
 from calflow.diagnosis.stepwise import Linearisation
+from calflow.diagnosis.unexplained import SUSPECTED, UnexplainedStructure, suspected, unexplained
 from calflow.effects import catalogue
 from calflow.estimation.fit import fit_reweighted
 from calflow.model import build
@@ -63,7 +64,7 @@ def test_what_is_certain_and_of_no_use_is_not_told(monkeypatch):
     noise = SIGMA**2 * len(known.data) * 3
     added = float((2e-4 * np.sin(3 * known.data.table["q1"])).pow(2).sum())
     assert one.share == pytest.approx(added / (added + noise), abs=0.15)
-    monkeypatch.setattr("calflow.diagnosis.misfit.MATERIAL", one.share * 1.01)
+    monkeypatch.setattr("calflow.diagnosis.unexplained.MATERIAL", one.share * 1.01)
     assert one not in unexplained(known, 0.01, np.random.default_rng(1), lambda _: None)
 
 

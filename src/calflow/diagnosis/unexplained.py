@@ -1,0 +1,223 @@
+"""Unexplained structure: a dependence of the residual on inputs that no cause of the catalogue explains.
+
+Decoys are smooth functions of the inputs without a physical meaning. They are tested as causes are, as a family of their own; a
+significant decoy is reported as unexplained, never as a cause.
+
+Unexplained structure has suspects: the family of general errors along its input, and causes that failed their test but are too
+probable to be ignored.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from math import comb
+
+import casadi as ca
+import numpy as np
+import scipy
+
+from calflow.diagnosis.fitted import Fitted
+from calflow.diagnosis.regressors import Background
+from calflow.diagnosis.screening import MATERIAL, Score, Screening, by_place
+from calflow.effects import Effect
+from calflow.effects.base import ITS_ANGLE, Cause
+from calflow.estimation.smooth_functions import (
+    SIZE,
+    Field,
+    JointField,
+    Oscillation,
+    Shift,
+    SmoothFunction,
+    moved_together,
+    of_place,
+    pairs_of,
+    under_payloads,
+)
+from calflow.robot.mechanism import Deflection, Row, State
+from calflow.robot.parts import Parameter
+
+MOST_PARTS = 3  # unexplained dependences that are reported
+POSE = "pose"  # as an input: changes from pose to pose that no other input explains
+SUSPECTED = 0.05  # probability from which a cause that failed its test is reported beside unexplained structure
+MOMENTS = 20  # parts of the rows, between which a slip may have occurred
+FREQUENCIES = 800  # of a disturbance in time, at most
+# Highest frequency, in cycles per pose: uneven times resolve more than one cycle between poses (Lomb 1976).
+FASTEST = 2.0
+
+
+@dataclass(frozen=True)
+class UnexplainedStructure:
+    """A dependence that no cause explains: its inputs, family-wise p-value, share of chi², and basis functions.
+
+    along: the inputs on which a part of it depends alone; suspects: the causes that it may be. As for a cause, a share below
+    MATERIAL is too small to matter, however many rows show it.
+    """
+
+    inputs: tuple[str, ...]
+    p: float
+    share: float
+    functions: tuple[Effect, ...]
+    detail: str = ""
+    along: tuple[str, ...] = ()
+    suspects: tuple[Cause, ...] = ()
+
+
+def suspected(left: Sequence[UnexplainedStructure], scores: Sequence[Score[Cause]]) -> tuple[UnexplainedStructure, ...]:
+    """Return the structures with their suspects, the likeliest first; scores are those of all candidates beside the model.
+
+    The family of errors along an input is suspected wherever a part depends on that alone. Any other cause is reported with the
+    strongest dependence: a priori one of them is as probable as none.
+    """
+    places = by_place(scores)
+    odds = {place: float(np.exp(-cost / 2)) / len(places) for place, (cost, _) in places.items()}
+    likeliest = sorted(places, key=lambda place: -odds[place])
+    least = SUSPECTED * (1 + sum(odds.values()))
+    structures = []
+    for first, structure in zip((True, *[False] * len(left)), left, strict=False):
+        causes = [(places[place][1].cause, first and odds[place] >= least) for place in likeliest]
+        suspects = (cause for cause, likely in causes if likely or _is_any_error_along(cause, structure.along))
+        structures.append(replace(structure, suspects=tuple(suspects)))
+    return tuple(structures)
+
+
+def _is_any_error_along(cause: Cause, inputs: tuple[str, ...]) -> bool:
+    """Whether a cause is of the family of general errors along one of these inputs."""
+    own = {f"q{cause.joint}" if name == ITS_ANGLE else name for name in cause.effect.named_in()}
+    return not own.isdisjoint(inputs)
+
+
+def _alone(*parts: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the inputs on which a part depends alone."""
+    return tuple(dict.fromkeys(part[0] for part in parts if len(part) == 1))
+
+
+def unexplained(
+    fitted: Fitted,
+    significance: float,
+    rng: np.random.Generator,
+    say: Callable[[str], None],
+    at_rest: Sequence[UnexplainedStructure] = (),
+    beside: Background | None = None,
+) -> list[UnexplainedStructure]:
+    """Return the significant dependences of a fitted model's residual on inputs, the strongest first.
+
+    Single functions are tested first, as they show a sharp dependence best; then the background as a whole. Joints that do not
+    repeat, at_rest, are reported only where no function is significant beside their errors, beside, and then alone: to tests that
+    take rows as independent, errors of a pose look like a dependence on many inputs.
+    """
+    accepted: list[UnexplainedStructure] = []
+    surest = sorted(at_rest, key=lambda structure: structure.p)
+    alone = beside is not None and surest[0].p < significance
+    if alone and any(part.p < significance for part in _single(replace(fitted, background=beside, shared=0.0), rng)):
+        alone = False
+    if not alone:
+        surest = [*_single(replace(fitted, background=None), rng), *_together(fitted), *_of_poses(fitted)]
+    for structure in surest:
+        if structure.p >= significance or structure.share < MATERIAL or len(accepted) == MOST_PARTS:
+            continue
+        if not any(set(structure.inputs) - {POSE} & set(other.inputs) for other in accepted):
+            accepted.append(structure)
+            say(f"left over, depends on {' and '.join(structure.inputs)}: p = {structure.p:.2g}")
+    return accepted
+
+
+def _single(fitted: Fitted, rng: np.random.Generator) -> list[UnexplainedStructure]:
+    screening = Screening(fitted.regressors(decoys(fitted)))
+    family = screening.family(rng)
+    tested = []
+    for score in screening.scores:
+        decoy = score.cause.effect
+        assert isinstance(decoy, SmoothFunction)
+        tested.append(
+            UnexplainedStructure(
+                decoy.inputs, family.p(score), score.share, (score.cause,), score.cause.detail, _alone(decoy.inputs)
+            )
+        )
+    return sorted(tested, key=lambda structure: structure.p)
+
+
+def _together(fitted: Fitted) -> list[UnexplainedStructure]:
+    """Return the test of the background as a whole, corrected for every choice of as many parts.
+
+    Twice the log likelihood ratio is a mixture of chi² with at most as many degrees of freedom as variances and correlation
+    lengths: half of each variance's distribution is at its bound of zero (Self and Liang 1987), where lengths do not matter.
+    """
+    left = fitted.background
+    if left is None:
+        return []
+    n = len(left.inputs)
+    lengths = sum(len(part.lengths) for part in left.functions if isinstance(part, Field))
+    p = comb(left.tried, n) * 0.5**n * float(scipy.stats.chi2.sf(left.gain, n + lengths))
+    inputs = tuple(dict.fromkeys(name for part in left.inputs for name in part))
+    share = -float(np.expm1(-left.gain / fitted.fit.residual.size))
+    return [UnexplainedStructure(inputs, min(1.0, p), share, left.functions, along=_alone(*left.inputs))]
+
+
+def _of_poses(fitted: Fitted) -> list[UnexplainedStructure]:
+    """Return the test of errors that the markers of a pose share; a correlation of zero is at its bound, as variances are."""
+    if not (fitted.intraclass and fitted.intraclass_likelihood):
+        return []
+    return [
+        UnexplainedStructure(
+            (POSE,), float(scipy.stats.chi2.sf(fitted.intraclass_likelihood.gain, 1)) / 2, fitted.intraclass, ()
+        )
+    ]
+
+
+@dataclass(frozen=True)
+class Since(SmoothFunction):
+    """A step of all joints' zeros, and of the marker on the tool, from a row on."""
+
+    moment: float = 0.5
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """The order of the rows."""
+        return ("order",)
+
+    @property
+    def detail(self) -> str:
+        """The row of the step, in words."""
+        return f"since row {int(np.floor(self.moment)) + 1} in measuring order"
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return the joints' offsets, and the marker's."""
+        units = [joint.unit for joint in self.robot.joints] + ["m"] * 3
+        return tuple(
+            Parameter(self.id, "since", f"offset{k + 1}", unit, SIZE, -1.0, 1.0) for k, unit in enumerate(units)
+        )
+
+    def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
+        """Return the deflection of the joints, and a shift of the flange with its load."""
+        after, n = row.order > self.moment, self.robot.n_joints
+        link = ca.SX(still.link)
+        link[:3, -1] = p[n:] * after
+        return replace(still, joint=p[:n] * after, link=link)
+
+
+def decoys(fitted: Fitted) -> list[SmoothFunction]:
+    """Return the decoys for a fitted model's rows."""
+    data, robot = fitted.data, fitted.data.robot
+    turning = [i for i, joint in enumerate(robot.joints) if joint.kind == "revolute"]
+    chosen: list[SmoothFunction] = [JointField(robot, (i,)) for i in turning]
+    chosen += [Shift(robot, (i,)) for i in turning]
+    pairs = pairs_of(moved_together(fitted.problem, fitted.fit.estimate))
+    chosen += [kind(robot, pair) for pair in pairs if set(pair) <= set(turning) for kind in (JointField, Shift)]
+    chosen += of_place(fitted.model, fitted.fit.estimate, data)
+    chosen += under_payloads(data)
+    if "order" in data.given:
+        order = np.unique(data.table["order"].to_numpy(float))
+        chosen += [Since(robot, float(moment)) for moment in np.quantile(order, np.arange(1, MOMENTS) / MOMENTS)]
+    if "time" in data.given:
+        chosen += [Oscillation(robot, float(rate)) for rate in _rates(data.table["time"].to_numpy())]
+    return chosen
+
+
+def _rates(time: np.ndarray) -> np.ndarray:
+    """Return angular frequencies from one cycle per session to the highest, half a cycle apart."""
+    span = float(np.ptp(time))
+    if span <= 0:
+        return np.array([])
+    turns = FASTEST * len(np.unique(time))
+    return 2 * np.pi / span * np.linspace(1.0, turns, min(FREQUENCIES, int(2 * turns)))
