@@ -387,13 +387,13 @@ def rows_exchanged(world: World, rng: Draw) -> str:
             break
     world.table.loc[[i, j], PLACE] = world.table.loc[[j, i], PLACE].to_numpy()
     lines = rf"{i + 2} to {j + 2}" if j == i + 1 else rf"{i + 2}, {j + 2}"
-    return rf"each other's rows in lines {lines};"
+    return rf"pairs of rows are exchanged in lines {lines};"
 
 
 def rows_shifted(world: World, rng: Draw) -> str:
     later = np.arange(later_row(world, rng), len(world.table))
     world.table.loc[later, PLACE] = world.table.loc[np.roll(later, -1), PLACE].to_numpy()
-    return "positions stand a row too (early|late) against the readings"
+    return "positions are a row too (early|late) against the readings"
 
 
 def later_row(world: World, rng: Draw) -> int:
@@ -445,7 +445,7 @@ def marker_elsewhere(world: World, rng: Draw) -> str | None:
         )
     else:
         point[:] = [point[2], point[1] + 150.0, point[0]]
-    return "marker E is typed"
+    return "marker E is mistyped"
 
 
 def changed_at_a_row(world: World, rng: Draw) -> str:
@@ -457,7 +457,7 @@ def changed_at_a_row(world: World, rng: Draw) -> str:
         world.table[PLACE] = 1e3 * (moved + rng.normal(0, NOISE, moved.shape))
         return rf"from line {first + 2} on another tool"
     turned(world, later, 0.05, 0.1, rng)
-    return rf"from line {first + 2} on the positions stand in another frame"
+    return rf"from line {first + 2} on the positions are in another frame"
 
 
 def turned(world: World, rows: np.ndarray, angle: float, far: float, rng: Draw) -> None:
@@ -473,7 +473,7 @@ def sessions_apart(world: World, rng: Draw) -> str:
     for k in (1, 2):
         turned(world, session == k, 0.02, 0.03, rng)
     world.table["session"] = np.array(["Mon", "Tue", "Wed"])[session]
-    return "say by_session = true"
+    return "state by_session = true"
 
 
 def gravity_elsewhere(world: World, rng: Draw) -> str | None:
@@ -482,7 +482,7 @@ def gravity_elsewhere(world: World, rng: Draw) -> str | None:
         return None
     turn = Rotation.from_euler(picked(rng, ["x", "y"]), picked(rng, [90, -90, 180]), degrees=True)
     world.robot["gravity"] = turn.apply(world.robot.get("gravity", GRAVITY)).tolist()
-    return "gravity acts"
+    return "gravity is"
 
 
 def convention_taken_for_the_other(world: World, rng: Draw) -> str | None:
@@ -498,7 +498,7 @@ def joint_coupled(world: World, rng: Draw) -> str:
     i = picked(rng, [i for i in world.revolute if i and i - 1 in world.revolute])
     world.table[f"q{i + 1}_deg"] += picked(rng, [1, -1]) * world.table[f"q{i}_deg"]
     world.joints[i].pop("limits_deg", None)
-    return rf"column q{i + 1} do not count from the link before"
+    return rf"column q{i + 1} do not count from the previous link"
 
 
 def column_shifted(world: World, rng: Draw) -> str:
@@ -509,7 +509,7 @@ def column_shifted(world: World, rng: Draw) -> str:
     rows = np.arange(len(pose)) >= (later_row(world, rng) if rng.random() < 0.5 else 0)
     column = world.table[f"q{i + 1}_deg"].to_numpy(copy=True)
     world.table[f"q{i + 1}_deg"] = np.where(rows, column[before], column)
-    return rf"column q{i + 1} stand a pose too late"
+    return rf"column q{i + 1} are a pose too late"
 
 
 def rows_read_otherwise(world: World, rng: Draw) -> str:

@@ -672,7 +672,7 @@ def identify(
     )  # fmt: skip
     rows, faults = examined(data.on(robot), paths)
     for fault in faults:
-        say(fault.said)
+        say(fault.summary)
     fitted = fit_effects(
         rows, _objects(given, robot, rows.only(rows.train)), starts=starts, loss=loss, noise=noise, rng=draws(seed),
         say=say, advance=advance, source=paths[0] if paths else None,
@@ -818,7 +818,7 @@ def _confirmed_tables(fitted: Fitted, other: Study, say: Say) -> Results:
     """Return the tables of the confirmation of joint errors by an independent series, after correcting its faults."""
     data, faults = examined(other.measurements(), other.measurement_paths)
     for fault in faults:
-        say(f"{other.name}: {fault.said}")
+        say(f"{other.name}: {fault.summary}")
     confirmation = confirmed(fitted, data)
     say(f"{other.name}: " + "; ".join(confirmation.table["words"].unique()))
     return Results(

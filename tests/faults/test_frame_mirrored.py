@@ -48,9 +48,7 @@ def test_the_axes_are_told_where_the_base_is_known(measured, wrong):
     data = exchanged(measured, first, second) if second else changed(measured, **{wrong: -measured.table[wrong]})
     after, (found,) = examined(data)
     assert (found.cause, found.joint, found.action, found.lines) == ("frame-mirrored", 0, "corrected", ())
-    assert (
-        f"the axes {wrong} are exchanged" if second else f"the axis {wrong} points the other way"
-    ) in found.statement
+    assert (f"the axes {wrong} are exchanged" if second else f"the axis {wrong} is reversed") in found.statement
     pd.testing.assert_frame_equal(after.table, measured.table)
     table = pd.read_csv(io.StringIO(csv_text(as_table((found,), data))), **EXACT)
     pd.testing.assert_frame_equal(corrected(data, table).table, after.table)
@@ -63,7 +61,7 @@ def test_a_mirrored_frame_of_a_robot_that_stands_anywhere(measured):
     data = Measurements(replace(measured.robot, base=NOWHERE), table, measured.notes)
     after, found = examined(data)
     assert [fault.cause for fault in found] == ["frame-mirrored", "outlier"]
-    assert "or other axes, with the base turned otherwise" in found[0].statement
+    assert "or other axes, with another rotation of the base" in found[0].statement
     assert list(after.table["range"]) == list(measured.table["range"])
 
 
@@ -81,7 +79,7 @@ def test_orientations_tell_which_axis(measured):
     rx, ry, rz = seen.as_euler("XYZ").T
     columns = {"x": place[:, 0], "y": place[:, 1], "z": -place[:, 2], "rx": rx, "ry": ry, "rz": rz}
     (found,) = examined(changed(measured.on(robot), **columns))[1]
-    assert "the axis z points the other way;" in found.statement
+    assert "the axis z is reversed;" in found.statement
 
 
 def test_joints_that_count_the_other_way_are_no_mirror(measured):
@@ -101,5 +99,5 @@ def test_a_base_that_is_turned_is_no_fault_of_joints(measured, turn, known):
     if not known:
         assert examined(data)[1] == ()
         return
-    with pytest.raises(InputError, match="no fit can correct it: the base does not stand where the robot file says"):
+    with pytest.raises(InputError, match="no fit can correct it: the base is not where the robot file states it"):
         examined(data)

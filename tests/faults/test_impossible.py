@@ -68,7 +68,7 @@ def test_limits_past_which_a_turned_sign_leads_say_that_it_was_turned(tmp_path):
     data = case(tmp_path)
     low, high = data.robot.joints[1].limits
     wrong = with_joint(data, 2, limits=(-high, -low))
-    with pytest.raises(InputError, match=r"joint 2: all readings have the wrong sign.*put right here") as told:
+    with pytest.raises(InputError, match=r"joint 2: all readings have the wrong sign.*corrected in memory") as told:
         examined(replace(wrong, table=data.table.assign(q2=-data.table["q2"])))
     assert "its angle is past the limits -75 to 60 deg" in str(told.value)
 
@@ -84,7 +84,7 @@ def test_a_turn_that_is_put_right_is_no_error(tmp_path):
     [
         ("joints exchanged", "no fit can correct it: columns q2 and q3 are exchanged"),
         ("zero", "no fit can correct it: theta of joint 2 is mistyped; expected about theta_deg = -90"),
-        ("rows", "measurements.csv: the nominal robot, with base and tool placed where they fit best, misses"),
+        ("rows", "measurements.csv: the nominal robot, with base and tool fitted, misses"),
     ],
 )
 def test_data_of_no_robot_are_refused_by_check_and_run(tmp_path, wrong, said):
@@ -129,7 +129,7 @@ def test_a_base_that_stands_elsewhere_is_told_with_its_place(tmp_path, origin, t
     with pytest.raises(InputError) as told:
         examined(data.on(replace(data.robot, base=wrong)))
     said = str(told.value)
-    assert "the base does not stand where the robot file says" in said
+    assert "the base is not where the robot file states it" in said
     stated = [float(value) for value in said.split("origin_mm = [")[1].split("]")[0].split(",")]
     assert stated == pytest.approx([1e3 * value for value in base.origin], abs=60)
     assert examined(data.on(replace(data.robot, base=replace(wrong, known=False))))[1] == ()

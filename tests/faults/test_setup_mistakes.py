@@ -81,8 +81,8 @@ def test_without_its_mistake_a_file_explains_what_the_right_one_does(weightless,
     (symbol,) = figures
     k = [p.identity[2:] for p in wrong.model.parameters].index((f"joint{joint}", symbol))
     stated = weightless.robot.frames[joint - 1].figures[symbol]
-    undone = wrong.with_figures({k: stated - figures[symbol]}).restated.explained
-    assert undone.evidence == pytest.approx(right.explained.evidence, abs=0.01)
+    undone = wrong.with_dimensions({k: stated - figures[symbol]}).restated.fitted
+    assert undone.evidence == pytest.approx(right.fitted.evidence, abs=0.01)
 
 
 def test_a_sign_is_not_turned_where_a_joints_zero_does_the_same(weightless):
@@ -152,7 +152,7 @@ def test_loads_that_are_named_some_rows_late(measured):
 def test_a_marker_far_from_where_it_is_typed(measured, to):
     """Fails if the fit takes a marker to its bound, or says that a joint is at fault."""
     robot = replace(measured.robot, markers={"E": replace(measured.robot.markers["E"], point=to)})
-    with pytest.raises(InputError, match="marker E is typed"):
+    with pytest.raises(InputError, match="marker E is mistyped"):
         examined(measured.on(robot))
 
 
@@ -172,11 +172,11 @@ def test_payloads_of_each_others_name_are_settled_before_causes(measured):
 def test_springs_that_may_not_push_are_paid_for_as_those_that_pull(measured):
     """Fails if a set-up is the more probable the more springs it holds at none, as loads of each other's name may."""
     setup = Setup.of(measured)
-    hung = setup.by(replace(setup.model.robot, gravity=(0.0, 0.0, 9.8))).explained
+    hung = setup.with_robot(replace(setup.model.robot, gravity=(0.0, 0.0, 9.8))).fitted
     springs = [k for k, p in enumerate(hung.setup.model.parameters) if p.effect == "joint-compliance"]
     held = [k for k in springs if not hung.fit.estimate[k]]
     assert len(held) >= 3
-    assert hung.fit.volume < hung.setup.without_springs.explained.fit.volume - 0.5 * len(held)
+    assert hung.fit.volume < hung.setup.without_springs.fitted.fit.volume - 0.5 * len(held)
 
 
 def test_a_device_that_was_moved_at_a_row(measured):
@@ -234,7 +234,7 @@ def test_figures_of_the_other_convention(measured):
     """Fails if a robot whose figures are read in the other order is only said to be far from its file."""
     joints = measured.robot.joints
     read = tuple(replace(joint, frame=dh(**joint.frame.figures)) for joint in joints)
-    with pytest.raises(InputError, match="are of the convention modified-dh, and read as dh"):
+    with pytest.raises(InputError, match="are of the convention modified-dh, but read as dh"):
         examined(measured.on(replace(measured.robot, joints=read)))
 
 

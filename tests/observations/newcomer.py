@@ -104,7 +104,7 @@ def all_the_way(
     """
     told = said(folder, environment, "check", ".")
     assert f"line {odd + 2} is " in told
-    assert f" {unit} from what all other rows say" in told
+    assert f" {unit} off from the fit of all other rows" in told
     assert f" {unit}, max" in told
     assert "nan" not in told
     told = said(folder, environment, "run", ".", "--out", "runs")

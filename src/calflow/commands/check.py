@@ -51,7 +51,7 @@ def check_command(study: Path) -> None:
     for k, path in enumerate(loaded.measurement_paths):
         say(_counted(path, data.only(data.of_series(k))))
     for fault in checked.faults:
-        say(f"fault: {fault.said}")
+        say(f"fault: {fault.summary}")
     source = "as the robot file says" if loaded.robot.base.known else "placed by the poses to fit"
     say(f"the nominal robot's error, base and tool {source}:")
     for row in checked.nominal.itertuples():

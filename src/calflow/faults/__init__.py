@@ -28,8 +28,8 @@ from calflow.measurements.measurements import Measurements
 
 __all__ = ["CHECKS", "PLAIN_CHECKS", "Correction", "Fault", "FaultyRow", "as_table", "corrected", "examined"]
 
-# The searches for one kind of fault each, in order, each on what those before it mended: first those that the rows show by
-# themselves, then those that take what the rows say of one another.
+# Checks for one kind of fault each, in order, each on the rows corrected by those before: first of rows by themselves,
+# then of positions against a robust fit.
 PLAIN_CHECKS: tuple[Callable[[Measurements], tuple[Fault, ...]], ...] = (duplicate, measured_torque, stated_lens)
 Check = Callable[[Measurements, Reference], tuple[Fault, ...]]
 DEFINITE_CHECKS: tuple[Check, ...] = (exchanged, row_misalignment, encoder_turn, unit_mistake)
@@ -52,7 +52,7 @@ def examined(data: Measurements, paths: Sequence[Path] = ()) -> tuple[Measuremen
     for past, message in past_limits(data):
         series = data.series_number[past]
         problems += [Problem(message, paths[k] if paths else None) for k in dict.fromkeys(map(int, series))]
-    if problems:  # what nobody has settled may be why, or a joint's readings that were all put right here
+    if problems:  # possible reasons: an unsettled mistake, or a joint whose readings were all corrected
         why = [fault for fault in faults if fault.action == "unsettled" or (fault.joint and not fault.lines)]
         problems = [*(Problem(fault.statement) for fault in why), *problems]
     if not problems and setup and (message := nominal_misfit(setup)):
@@ -71,7 +71,7 @@ def _searched(data: Measurements) -> tuple[Measurements, tuple[Fault, ...], Setu
     positions, setup = is_position(data), None
     if positions.any():
         detected, setup = _of_positions(data.only(positions))
-        faults += (moved := [fault.among(np.flatnonzero(positions)) for fault in detected])
+        faults += (moved := [fault.in_all_rows(np.flatnonzero(positions)) for fault in detected])
         data = reduce(correct, moved, data)
     gross = () if positions.all() else gross_rows(data, ~positions)
     return reduce(correct, gross, data), (*faults, *gross), setup

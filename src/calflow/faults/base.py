@@ -17,11 +17,11 @@ from calflow.observations.base import observation_kinds
 
 Action = Literal["corrected", "left out", "told", "unsettled"]
 MEASUREMENT_FILE, ROBOT_FILE, SET_UP = "measurement file", "robot file", "set-up"
-ROBOT = "robot"  # of what is no mistake, but a cause
-PLACE = ("x", "y", "z")
+ROBOT = "robot"  # of a cause, not a mistake
+AXES = ("x", "y", "z")
 POSITION = "position"  # the quantity x, y, z
-EXCHANGED = {"x and y": ("x", "y"), "x and z": ("x", "z"), "y and z": ("y", "z")}  # quantities exchanged
-OF_DEVICE = (*PLACE, "rx", "ry", "rz", "qw", "qx", "qy", "qz", "sigma", "sigma_rotation", "range")
+EXCHANGED = {"x and y": ("x", "y"), "x and z": ("x", "z"), "y and z": ("y", "z")}  # exchanged axes
+DEVICE_COLUMNS = (*AXES, "rx", "ry", "rz", "qw", "qx", "qy", "qz", "sigma", "sigma_rotation", "range")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,21 +33,21 @@ class FaultyRow:
     line: int | None = column("line of the file; empty: the whole column")
     pose: str = column("as in the measurements", default="")
     action: Action = column(
-        "what was done; told: nothing, it is said alone; unsettled: nothing, and no cause is named before the user has settled it"
+        "what was done; told: reported only; unsettled: reported only, and no cause is named until the user has settled it"
     )
     statement: str = column("what is wrong, in words")
     where: str = column(
-        "where the mistake is: measurement file, robot file, set-up; or robot, where it may be none",
+        "location of the mistake: measurement file, robot file or set-up; robot: possibly a cause, not a mistake",
         default=MEASUREMENT_FILE,
     )
     row: int = column("number of the row, from 1; 0: every row")
     quantity: str = column(
-        "what was corrected: position, a measured quantity, two exchanged, or a setting that counts as not stated; empty: nothing",
+        "the corrected quantity: position, a measured one, two exchanged axes, or a setting treated as not stated; empty: none",
         default="",
     )
-    factor: float = column("what the quantity was multiplied by", default=1.0)
-    offset: float = column("what was then added to it", "SI", default=0.0)
-    source: int = column("the row whose measured values stand there now; 0: its own", default=0)
+    factor: float = column("factor applied to the quantity", default=1.0)
+    offset: float = column("offset added after that", "SI", default=0.0)
+    source: int = column("number of the row whose measured values replace its own; 0: none", default=0)
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Correction:
     """A correction of a row: its quantity times factor plus offset (SI), or the measured values of the row source.
 
     Rows count from 1, in the order of the file; row 0 means every row. An excluded row has no quantity. The quantity
-    may also be a setting of the series' observation, which then counts as not stated.
+    may also be a setting of the series' observation, which is then treated as not stated.
     """
 
     row: int
@@ -69,8 +69,8 @@ class Correction:
 class Fault:
     """A fault: its cause, joint (0: none), lines of the file (none: a whole column), correction, and location.
 
-    If the right value is unknown, the fault is reported and nothing is changed; a fault of the robot file or the whole
-    table is unsettled until the user has corrected it, and no cause is named before.
+    If the right value is unknown, the fault is only reported; a fault of the robot file or the whole table is unsettled
+    until the user has corrected it, and no cause is named until then.
     """
 
     cause: str
@@ -82,12 +82,12 @@ class Fault:
     where: str = MEASUREMENT_FILE
 
     @property
-    def said(self) -> str:
+    def summary(self) -> str:
         """Its kind and statement, on one line."""
         return f"{self.cause.replace('-', ' ')}: {self.statement}"
 
-    def among(self, rows: np.ndarray) -> Fault:
-        """Return a fault found in a subset of the data with rows of all data; rows (n,): the subset's, from 0."""
+    def in_all_rows(self, rows: np.ndarray) -> Fault:
+        """Return a fault found in a subset of the data with row numbers of all data; rows (n,): the subset's, from 0."""
 
         def moved(row: int) -> int:
             return int(rows[row - 1]) + 1 if row else 0
@@ -132,7 +132,7 @@ def correct(data: Measurements, fault: Fault) -> Measurements:
     """Return the rows with a fault corrected, or with its rows excluded from every split."""
     before, table = data.table, data.table.copy()
     of_series = [correction for correction in fault.corrections if _is_setting(data, correction)]
-    data = reduce(_unstated, of_series, data)
+    data = reduce(_without_setting, of_series, data)
     of_rows = [correction for correction in fault.corrections if correction not in of_series]
     for quantity in dict.fromkeys(correction.quantity for correction in of_rows if correction.quantity):
         same = [correction for correction in of_rows if correction.quantity == quantity]
@@ -140,7 +140,7 @@ def correct(data: Measurements, fault: Fault) -> Measurements:
             np.array([getattr(correction, name) for correction in same]) for name in ("row", "factor", "offset")
         )
         at = which - 1 if which[0] else slice(None)
-        names = EXCHANGED.get(quantity, PLACE if quantity == POSITION else (quantity,))
+        names = EXCHANGED.get(quantity, AXES if quantity == POSITION else (quantity,))
         values = table[[*names]].to_numpy(copy=True)
         mended = values[at] * factor[:, None] + offset[:, None]
         values[at] = mended[:, ::-1] if quantity in EXCHANGED else mended
@@ -148,7 +148,7 @@ def correct(data: Measurements, fault: Fault) -> Measurements:
     moved = [(correction.row - 1, correction.source - 1) for correction in fault.corrections if correction.source]
     if moved:
         rows, sources = np.array(moved).T
-        for name in (name for name in OF_DEVICE if name in table):
+        for name in (name for name in DEVICE_COLUMNS if name in table):
             theirs = table[name].to_numpy(copy=True)
             theirs[rows] = before[name].to_numpy()[sources]
             table[name] = theirs
@@ -156,8 +156,8 @@ def correct(data: Measurements, fault: Fault) -> Measurements:
         split = table["split"].to_numpy(copy=True)
         split[[correction.row - 1 for correction in fault.corrections]] = ""
         table["split"] = split
-    mirrored = any(correction.quantity in (*PLACE, *EXCHANGED) for correction in fault.corrections)
-    return replace(data, table=_followed(table, before, data, mirrored))
+    mirrored = any(correction.quantity in (*AXES, *EXCHANGED) for correction in fault.corrections)
+    return replace(data, table=_with_derived(table, before, data, mirrored))
 
 
 def _is_setting(data: Measurements, correction: Correction) -> bool:
@@ -170,19 +170,19 @@ def _series(data: Measurements, correction: Correction) -> int:
     return int(data.series_number[max(correction.row, 1) - 1])
 
 
-def _unstated(data: Measurements, correction: Correction) -> Measurements:
+def _without_setting(data: Measurements, correction: Correction) -> Measurements:
     """Return the data without a setting of a series."""
     k = _series(data, correction)
     settings = tuple(setting for setting in data.series[k].settings if setting[0] != correction.quantity)
     return replace(data, series=(*data.series[:k], replace(data.series[k], settings=settings), *data.series[k + 1 :]))
 
 
-def _followed(table: pd.DataFrame, before: pd.DataFrame, data: Measurements, mirrored: bool) -> pd.DataFrame:
+def _with_derived(table: pd.DataFrame, before: pd.DataFrame, data: Measurements, mirrored: bool) -> pd.DataFrame:
     """Return the table with derived quantities updated: approach and travel from readings, range from positions.
 
     If the frame was mirrored, so was the device, and ranges stay.
     """
-    readings, place = numbered("q", data.robot.n_joints), [*PLACE]
+    readings, place = numbered("q", data.robot.n_joints), [*AXES]
     if IN_ORDER in data.notes and not table[readings].equals(before[readings]):
         came, far = approach_and_travel(table, readings)
         table[numbered("approach", data.robot.n_joints)] = came

@@ -1,4 +1,4 @@
-"""Mistakes observable with a fitted robot: loads and gravity, set-up changes between rows, and misread rows."""
+"""Mistakes observable with a fitted robot: payloads and gravity, changes of the set-up between rows, misread rows."""
 
 from __future__ import annotations
 
@@ -14,33 +14,31 @@ from calflow.effects.base import Effect, JointError
 from calflow.effects.base_off_level import TILT_BOUND
 from calflow.effects.session_frame import SessionFrame
 from calflow.faults.base import MEASUREMENT_FILE, ROBOT, SET_UP, lines_in_words
-from calflow.faults.mistake import ARBITRARY, ONE, Mistake, of_rows
-from calflow.faults.rough import lengths, level, motion, otherwise, rigid_errors, rigid_sums
-from calflow.faults.setup import ExplainedSetup, Setup
+from calflow.faults.mistake import ARBITRARY, LOG_ODDS, Mistake, row_mistakes
+from calflow.faults.rough import lengths, level, motion, rigid_errors, rigid_sums, split_errors
+from calflow.faults.setup import FittedSetup, Setup
 from calflow.files.words import rounded
 from calflow.measurements.measurements import Measurements, sessions_of, spaced
 from calflow.robot.frames import Vector, vector
 from calflow.robot.mechanism import Row
 
-MIN_SHIFT = 5e-3  # m: less is a device that was bumped, or a tool that gave way: causes, and no mistakes
-MIN_ROWS, PLACING = 5, 3  # rows on either side, and of these as many to fit as place a frame
-MAX_ROWS = 3000  # rows at which a change is looked for
-HALVED = 0.5  # share of the squared errors that a change worth a fit leaves
-FITTED = 4  # mistakes in some rows, of those that are worth one, that are fitted
-SAME = 0.05  # share of the rows in which two parts that are told as one differ at most
-SMALL = 1e-5  # rad or m by which a joint is moved to see where it moves the tool, and less than which settles its step
-ROUNDS = (
-    12  # at most, in which a joint's step follows from what the robot without it leaves: the fit goes with a part of it
-)
-LATEST = 15  # rows by which loads may be named too late, or too early
-LEVEL = TILT_BOUND  # rad of gravity from where it is stated: less is a cause
+MIN_SHIFT = 5e-3  # m: smaller shifts are causes, as of a bumped device or a compliant tool
+MIN_ROWS, PLACING = 5, 3  # least rows on either side of a change, and fitted ones in each frame
+MAX_ROWS = 3000  # largest number of rows tried as a change
+HALVED = 0.5  # largest share of the squared errors left by a change worth a fit
+FITTED = 4  # largest number of mistakes in some rows that are fitted
+SAME = 0.05  # share of rows below whose difference two subsets are the same
+SMALL = 1e-5  # rad or m: difference step of a joint, and tolerance of its estimated step
+ROUNDS = 12  # largest number of updates of a joint's step, part of which each fit absorbs
+LATEST = 15  # largest shift of payload names, in rows
+LEVEL = TILT_BOUND  # rad: a smaller deviation of gravity is a cause
 
-# A mistake in some rows: what is least for the best, the mistake, which of all rows (n_rows,), in words, and its prior.
+# A mistake in some rows: its cost, the mistake, the rows (n_rows,), these in words, and its log prior.
 Part = tuple[float, Mistake, np.ndarray, str, float]
 
 
-def causes_of_loads(data: Measurements, as_read: ExplainedSetup) -> list[Mistake]:
-    """Return physical causes beyond the rough fit and errors of joint readings, which are no mistakes of the user."""
+def causes_of_loads(data: Measurements, as_read: FittedSetup) -> list[Mistake]:
+    """Return the load-dependent causes that the robust fit lacks, as rivals of mistakes."""
     robot, there = as_read.setup.model.robot, {effect.id for effect in as_read.setup.model.effects}
     kinds = [kind for kind in catalogue().values() if kind.id not in there and not kind.superseded(robot)]
     of_loads = [
@@ -48,55 +46,55 @@ def causes_of_loads(data: Measurements, as_read: ExplainedSetup) -> list[Mistake
     ]
     effects = [effect for kind in of_loads if not kind.lacking(robot, data) for effect in kind.variants(robot, data)]
     return [
-        Mistake(effect.id, 0, partial(_beside, data, effect), f"no mistake, but {effect.in_words().name}", -np.log(len(effects)),
+        Mistake(effect.id, 0, partial(_extended, data, effect), f"no mistake, but {effect.in_words().name}", -np.log(len(effects)),
                 where=ROBOT)
         for effect in effects
     ]  # fmt: skip
 
 
-def _beside(data: Measurements, effect: Effect, setup: Setup) -> Setup:
+def _extended(data: Measurements, effect: Effect, setup: Setup) -> Setup:
     return Setup.of(data, effect)
 
 
-def loads_late(data: Measurements, as_read: ExplainedSetup) -> Iterator[Mistake]:
-    """Yield the number of rows by which load names are late or early, judged by the robot without the mistake."""
+def loads_late(data: Measurements, as_read: FittedSetup) -> Iterator[Mistake]:
+    """Yield the shift of payload names in rows, by the fit without the mistake."""
     payload, by = data.table["payload"].to_numpy(), range(-LATEST, LATEST + 1)
     if (payload == payload[0]).all():
         return
-    some, undone = _judged(data, as_read), [partial(_renamed, data, rows) for rows in by]
+    some, undone = _judged_rows(data, as_read), [partial(_shifted_payloads, data, rows) for rows in by]
 
-    def best(robot: ExplainedSetup) -> int:
-        return int(np.argmin([level(_miss(robot, undo(some))) for undo in undone]))
+    def best(robot: FittedSetup) -> int:
+        return int(np.argmin([level(_position_errors(robot, undo(some))) for undo in undone]))
 
     first = best(as_read)
     moved = payload[np.clip(np.arange(len(data)) + by[first], 0, len(data) - 1)] != payload
     if moved.sum() < MIN_ROWS:
         return
-    rows = by[best(undone[first](as_read.setup).explained)]
+    rows = by[best(undone[first](as_read.setup).fitted)]
     moved = payload[np.clip(np.arange(len(data)) + rows, 0, len(data) - 1)] != payload
     which = lines_in_words(data.table["line"].to_numpy()[moved])
     words = f"in {which}: payloads are named {abs(rows)} rows too {'late' if rows > 0 else 'early'}"
-    cure, log_prior = "name the load that the robot held in each row", ONE - np.log(len(by))
-    yield Mistake("payloads-late", 0, undone[rows + LATEST], words, log_prior, where=MEASUREMENT_FILE, cure=cure)
+    remedy, log_prior = "name the payload of each row", LOG_ODDS - np.log(len(by))
+    yield Mistake("payloads-late", 0, undone[rows + LATEST], words, log_prior, where=MEASUREMENT_FILE, remedy=remedy)
 
 
-def _judged(data: Measurements, as_read: ExplainedSetup) -> Setup:
+def _judged_rows(data: Measurements, as_read: FittedSetup) -> Setup:
     """Return the set-up at the rows, held out or not, at which a change is sought."""
     rows = np.flatnonzero(data.train | data.held_out)
     return as_read.setup.at(data, spaced(rows, MAX_ROWS))
 
 
-def _renamed(data: Measurements, rows: int, setup: Setup) -> Setup:
-    """Return the set-up with loads shifted by a number of rows."""
+def _shifted_payloads(data: Measurements, rows: int, setup: Setup) -> Setup:
+    """Return the set-up with payloads shifted by a number of rows."""
     conditions, loaded = setup.conditions.copy(), Row.spans(data.robot)["payload"]
     conditions[loaded] = data.conditions[loaded, np.clip(setup.numbers + rows, 0, len(data) - 1)]
     return replace(setup, conditions=conditions)
 
 
-def gravity_elsewhere(as_read: ExplainedSetup) -> Iterator[Mistake]:
+def gravity_elsewhere(as_read: FittedSetup) -> Iterator[Mistake]:
     """Yield other directions of gravity: along the measuring frame's z, and those of a ceiling- or wall-mounted robot.
 
-    The first follows from the frame. The others resemble a joint's eccentricity, and must explain what no cause does.
+    The first follows from the frame. The others resemble a joint's eccentricity, and are tried only on suspicious errors.
     """
     robot = as_read.setup.model.robot
     size = float(np.linalg.norm(robot.gravity))
@@ -109,19 +107,19 @@ def gravity_elsewhere(as_read: ExplainedSetup) -> Iterator[Mistake]:
         if away > LEVEL:
             pulled = vector(size * way)
             angle = f"{np.rad2deg(away):.3g} deg"
-            words = f"gravity acts {angle} from where the robot file has it: the base does not stand so"
+            words = f"gravity is {angle} from its direction in the robot file: the base is mounted otherwise"
             shown = ", ".join(f"{value:.4g}" for value in np.array(pulled) + 0.0)
-            cure = f"expected gravity = [{shown}] (m/s², in the base's axes) in the robot file"
-            yield Mistake("gravity-elsewhere", 0, partial(_pulled, pulled), words, cure=cure)
+            remedy = f"expected gravity = [{shown}] (m/s², in the base's axes) in the robot file"
+            yield Mistake("gravity-elsewhere", 0, partial(_with_gravity, pulled), words, remedy=remedy)
 
 
-def _pulled(gravity: Vector, setup: Setup) -> Setup:
-    return setup.by(replace(setup.model.robot, gravity=gravity))
+def _with_gravity(gravity: Vector, setup: Setup) -> Setup:
+    return setup.with_robot(replace(setup.model.robot, gravity=gravity))
 
 
-def set_up_anew(data: Measurements, as_read: ExplainedSetup) -> Iterator[Mistake]:
+def setup_changes(data: Measurements, as_read: FittedSetup) -> Iterator[Mistake]:
     """Yield a device or tool that changed at some row, and sessions with separate frames, if the errors indicate it."""
-    some = _judged(data, as_read)
+    some = _judged_rows(data, as_read)
     sums = rigid_sums(as_read.fit.predicted(some.conditions), some.position)
     if "session" in data.given:
         yield from _sessions(data, as_read, some, sums)
@@ -133,26 +131,26 @@ def set_up_anew(data: Measurements, as_read: ExplainedSetup) -> Iterator[Mistake
         yield from _in_some_rows(data, as_read, some)
 
 
-def _in_some_rows(data: Measurements, as_read: ExplainedSetup, some: Setup) -> Iterator[Mistake]:
+def _in_some_rows(data: Measurements, as_read: FittedSetup, some: Setup) -> Iterator[Mistake]:
     """Yield mistakes of the table before or after some row, in a session, or in rows that their correction explains."""
     plain, number, line = rigid_sums(some.points(), some.position), np.arange(len(data)), data.table["line"].to_numpy()
-    ends, once = np.arange(MIN_ROWS - 1, len(plain) - MIN_ROWS), ONE - np.log(len(plain))
-    sessions, before = sessions_of(data) if "session" in data.given else (), _miss(as_read, some)
+    ends, once = np.arange(MIN_ROWS - 1, len(plain) - MIN_ROWS), LOG_ODDS - np.log(len(plain))
+    sessions, before = sessions_of(data) if "session" in data.given else (), _position_errors(as_read, some)
     near: list[Part] = []
     mending: list[Part] = []
-    for mistake in of_rows(data):
+    for mistake in row_mistakes(data):
         undone = mistake.undo(some)
         other = rigid_sums(undone.points(), undone.position)
         for name in sessions:
             rows = (data.table["session"].astype(str) == name).to_numpy()
             error = float(rigid_errors(np.where(rows[some.numbers][:, None], other, plain).sum(axis=0)))
-            near.append((error, mistake, rows, f"in session {name}, in no other", ONE))
-        for later, errors in enumerate(otherwise(plain, other, ends)):
+            near.append((error, mistake, rows, f"in session {name}, in no other", LOG_ODDS))
+        for later, errors in enumerate(split_errors(plain, other, ends)):
             k = int(errors.argmin())
             first = int(some.numbers[ends[k] + 1])
             which = f"from line {line[first]} on, not before" if later else f"up to line {line[first - 1]}, not after"
             near.append((float(errors[k]), mistake, (number >= first) == bool(later), which, once))
-        better = some.numbers[as_read.fit.better(before, _miss(as_read, undone))]
+        better = some.numbers[as_read.fit.better(before, _position_errors(as_read, undone))]
         if len(better) >= MIN_ROWS:
             which = f"in {lines_in_words(line[better])}"
             mending.append((-len(better), mistake, np.isin(number, better), which, once))
@@ -165,16 +163,16 @@ def _in_some_rows(data: Measurements, as_read: ExplainedSetup, some: Setup) -> I
         yield mistake.within(rows, which, log_prior)
 
 
-def _miss(explanation: ExplainedSetup, setup: Setup) -> np.ndarray:
+def _position_errors(explanation: FittedSetup, setup: Setup) -> np.ndarray:
     """Return the norms of the position residuals of an explanation, shape (n_rows,) [m]."""
     return lengths(setup.position - explanation.fit.predicted(setup.conditions))
 
 
-def _joint(data: Measurements, as_read: ExplainedSetup, some: Setup) -> Iterator[Mistake]:
-    """Yield the joint whose zero changes at some row, because of remastering or a lost encoder."""
+def _joint(data: Measurements, as_read: FittedSetup, some: Setup) -> Iterator[Mistake]:
+    """Yield the joint whose zero changes at some row, by remastering or a lost encoder count."""
     steps: list[tuple[float, int, int]] = []
     for joint in data.robot.driven:
-        error, lever = _along(as_read, some, joint)
+        error, lever = _joint_residuals(as_read, some, joint)
         along, square = (error * lever).sum(axis=1).cumsum(), (lever**2).sum(axis=1).cumsum() + SMALL
         left = float((error**2).sum()) - along**2 / square - (along[-1] - along) ** 2 / (square[-1] - square + SMALL)
         if (first := _change(some, left, float(left[-1]))) is not None:
@@ -183,40 +181,42 @@ def _joint(data: Measurements, as_read: ExplainedSetup, some: Setup) -> Iterator
         return
     _, joint, first = min(steps)
     step, explanation, later = 0.0, as_read, as_read.setup.numbers >= first
-    if later.all() or not later.any():  # no fit would have rows of both sides
+    if later.all() or not later.any():  # no fit has rows of both sides
         return
-    off = bool(level(as_read.error[later]) > level(as_read.error[~later]))  # the later rows, or those before
+    off = bool(level(as_read.error[later]) > level(as_read.error[~later]))  # whether the later rows are off
     for _ in range(ROUNDS):
-        error, lever = _along(explanation, explanation.setup, joint)
+        error, lever = _joint_residuals(explanation, explanation.setup, joint)
         along, square = (error * lever).sum(axis=1), (lever**2).sum(axis=1)
         here, there = (float(along[part].sum() / (square[part].sum() + SMALL)) for part in (later, ~later))
         step += here - there
         undo = partial(_stepped, joint, first, step, off)
-        explanation = undo(as_read.setup).explained
+        explanation = undo(as_read.setup).fitted
         if abs(here - there) < SMALL:
             break
     unit, factor = data.robot.joints[joint].shown
     words = (
         f"from line {data.table['line'].iloc[first]} on the readings of joint {joint + 1} are {abs(factor * step):.2g} {unit} too "
-        f"{'small' if step > 0 else 'large'} against the rows before: its zero was set anew, or its encoder lost count"
+        f"{'small' if step > 0 else 'large'} against the rows before: it was remastered, or its encoder lost count"
     )
-    cure = f"add {factor * step:.4g} {unit} to them in the measurement file, or the opposite to the others"
-    yield Mistake("zero-changed", joint + 1, undo, words, ONE + ARBITRARY - np.log(len(left)), where=SET_UP, cure=cure)
+    remedy = f"add {factor * step:.4g} {unit} to them in the measurement file, or subtract it from the others"
+    yield Mistake(
+        "zero-changed", joint + 1, undo, words, LOG_ODDS + ARBITRARY - np.log(len(left)), where=SET_UP, remedy=remedy
+    )
 
 
-def _along(explanation: ExplainedSetup, setup: Setup, joint: int) -> tuple[np.ndarray, np.ndarray]:
+def _joint_residuals(explanation: FittedSetup, setup: Setup, joint: int) -> tuple[np.ndarray, np.ndarray]:
     """Return position residuals [m], and their derivatives by a joint [m/rad], each (n_rows, 3)."""
     error = setup.position - explanation.fit.predicted(setup.conditions)
     return np.nan_to_num(error), np.nan_to_num(explanation.fit.moved(setup.conditions, joint, SMALL) / SMALL)
 
 
 def _stepped(joint: int, first: int, step: float, later: bool, setup: Setup) -> Setup:
-    """Return the set-up with the step removed from a joint's readings from a row on, or before it."""
+    """Return the set-up with a step of a joint's readings removed, from a row on or before it."""
     there = (setup.numbers >= first) == later
     return setup.with_reading(joint, setup.conditions[joint] + (step if later else -step) * there)
 
 
-def _device(data: Measurements, as_read: ExplainedSetup, some: Setup, sums: np.ndarray) -> Iterator[Mistake]:
+def _device(data: Measurements, as_read: FittedSetup, some: Setup, sums: np.ndarray) -> Iterator[Mistake]:
     """Yield the row from which the device's pose changed."""
     before, whole = np.cumsum(sums, axis=0), sums.sum(axis=0)
     first = _change(some, _squares(before) + _squares(whole - before), float(_squares(whole)))
@@ -224,14 +224,14 @@ def _device(data: Measurements, as_read: ExplainedSetup, some: Setup, sums: np.n
         later = np.arange(len(data)) >= first
         apart = replace(data, table=data.table.assign(session=np.where(later, "after", "before")))
         words = (
-            f"from line {data.table['line'].iloc[first]} on the positions stand in another frame ({{far}} off): the measuring "
-            "device, or the robot, was moved; name the rows before and after in a column 'session' and say by_session = true in "
-            "[measurements.station]"
+            f"from line {data.table['line'].iloc[first]} on the positions are in another frame ({{far}} off): the measuring "
+            "device, or the robot, was moved; name the rows before and after in a column 'session' and state by_session = true "
+            "in [measurements.station]"
         )
-        yield from _moved("device-moved", apart, as_read, words, len(sums))
+        yield from _separate_frames("device-moved", apart, as_read, words, len(sums))
 
 
-def _sessions(data: Measurements, as_read: ExplainedSetup, some: Setup, sums: np.ndarray) -> Iterator[Mistake]:
+def _sessions(data: Measurements, as_read: FittedSetup, some: Setup, sums: np.ndarray) -> Iterator[Mistake]:
     """Yield sessions with separate frames."""
     names = sessions_of(data)
     of = data.table["session"].astype(str).to_numpy()[some.numbers]
@@ -239,14 +239,16 @@ def _sessions(data: Measurements, as_read: ExplainedSetup, some: Setup, sums: np
     whole = float(_squares(sums.sum(axis=0)))
     if len(names) > 1 and _explains(float(_squares(totals).sum()), whole) and totals[:, 0].min() >= MIN_ROWS:
         words = (
-            f"the sessions {', '.join(names)} do not stand in one frame (up to {{far}} apart): robot or device was set up anew; "
-            "say by_session = true in [measurements.station]"
+            f"the sessions {', '.join(names)} are not in one frame (up to {{far}} apart): robot or device was moved; state "
+            "by_session = true in [measurements.station]"
         )
-        yield from _moved("sessions-apart", data, as_read, words, 1)
+        yield from _separate_frames("sessions-apart", data, as_read, words, 1)
 
 
-def _moved(kind: str, data: Measurements, as_read: ExplainedSetup, words: str, moments: int) -> Iterator[Mistake]:
-    """Yield the mistake that sessions have separate frames, which are aligned before they are fitted."""
+def _separate_frames(
+    kind: str, data: Measurements, as_read: FittedSetup, words: str, moments: int
+) -> Iterator[Mistake]:
+    """Yield the mistake that sessions have separate frames, aligned before the fit."""
     names = sessions_of(data)
     setup = Setup.of(data, SessionFrame(data.robot, names))
     setup = setup.freed(*(k for k, p in enumerate(setup.model.parameters) if p.effect == SessionFrame.id))
@@ -263,12 +265,12 @@ def _moved(kind: str, data: Measurements, as_read: ExplainedSetup, words: str, m
     if far > MIN_SHIFT:
         together = replace(setup, position=position)
         statement = words.format(far=f"{rounded(1e3 * far)} mm")
-        yield Mistake(kind, 0, lambda _: together, statement, ONE - np.log(moments), where=SET_UP)
+        yield Mistake(kind, 0, lambda _: together, statement, LOG_ODDS - np.log(moments), where=SET_UP)
 
 
-def _tool(data: Measurements, as_read: ExplainedSetup, some: Setup) -> Iterator[Mistake]:
+def _tool(data: Measurements, as_read: FittedSetup, some: Setup) -> Iterator[Mistake]:
     """Yield the row from which another tool is measured, with other marker positions on the flange."""
-    errors = _on_flange(as_read, some)
+    errors = _flange_residuals(as_read, some)
     before, n = np.cumsum(errors, axis=0), np.arange(1, len(errors) + 1.0)
     after, square = before[-1] - before, float((errors**2).sum())
     gained = (before**2).sum(axis=1) / n + (after**2).sum(axis=1) / np.maximum(len(errors) - n, 1)
@@ -291,13 +293,13 @@ def _tool(data: Measurements, as_read: ExplainedSetup, some: Setup) -> Iterator[
     table = data.table.assign(marker=named.where(np.arange(len(data)) < first, named.map(names)))
     setup = Setup.of(replace(data, robot=replace(robot, markers=dict(robot.markers) | others), table=table))
     words = (
-        f"from line {line} on another tool is measured, its point {rounded(1e3 * float(np.linalg.norm(by)), 2)} mm or so from "
+        f"from line {line} on another tool is measured, its point about {rounded(1e3 * float(np.linalg.norm(by)), 2)} mm from "
         "the one before on the flange; give these rows a marker of their own in robot file and table"
     )
-    yield Mistake("tool-changed", 0, lambda _: setup, words, ONE - np.log(len(errors)), where=SET_UP)
+    yield Mistake("tool-changed", 0, lambda _: setup, words, LOG_ODDS - np.log(len(errors)), where=SET_UP)
 
 
-def _on_flange(explanation: ExplainedSetup, setup: Setup) -> np.ndarray:
+def _flange_residuals(explanation: FittedSetup, setup: Setup) -> np.ndarray:
     """Return position residuals in the flange's frame, shape (n_rows, 3) [m]."""
     fit = explanation.fit
     error = (setup.position - fit.predicted(setup.conditions)) @ fit.turn

@@ -1,4 +1,4 @@
-"""Duplicate: an observation written several times, identical to the last digit, which is not a repeat measurement."""
+"""Duplicate: an observation written several times, identical to the last digit, unlike a repeat measurement."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from calflow.measurements.rows import IN_ORDER, SIGMAS, condition_columns, numbe
 
 LABELS = ("marker", "payload", "session", "series")
 OF_THE_ROW = ("pose", "repeat", "line", "split", "order", "time", "temperature", "range", "of_repeats", *SIGMAS)
-CHANCE = 0.01  # of any honest repeats being alike to the last digit: a device that rounds coarsely has many such
-BEST = 1e-5  # m or rad: scatter of a good device, where neither repeats nor the file tell it
+CHANCE = 0.01  # expected number of genuine repeats identical to the last digit, frequent if a device rounds coarsely
+BEST = 1e-5  # m or rad: assumed scatter of a good device, without repeats or stated noise
 FINEST = 9  # decimals
 
 
@@ -31,8 +31,8 @@ def duplicate(data: Measurements) -> tuple[Fault, ...]:
     lines = data.table["line"].to_numpy()
     written = lines_in_words(sorted({int(lines[first[group[row]]]) for row in copies}))
     statement = (
-        f"LINES: to the last digit what is in {written} already: one observation written several times; it counts once, "
-        "take the copies out of the file"
+        f"LINES: identical to the last digit to {written}: one observation written several times; it counts once; remove the "
+        "copies from the file"
     )
     return (fault("duplicate", data, 0, [Correction(int(row) + 1) for row in copies], "left out", statement),)
 
@@ -50,7 +50,7 @@ def _setting(data: Measurements) -> list[str]:
     """Return the columns of the conditions of a row."""
     joints = numbered("q", data.robot.n_joints)
     stated = [name for name in ("approach", "wrench") if name in data.given]
-    if IN_ORDER in data.notes:  # then approach is only the way from the row before
+    if IN_ORDER in data.notes:  # approach then only follows from the row before
         stated = [name for name in stated if name != "approach"]
     touched = [name for series in data.series for name in series.labels]
     there = [name for name in dict.fromkeys((*LABELS, *touched)) if name in data.table]

@@ -1,4 +1,4 @@
-"""Encoder turn: readings with an error of a whole turn of the joint, or in a block of rows of one turn of its motor."""
+"""Encoder turn: readings off by a whole turn of the joint, or in a block of rows by one turn of its motor."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ import numpy as np
 from calflow.faults.base import Correction, Fault, correct, fault
 from calflow.faults.implausible import past
 from calflow.faults.reference import Reference
-from calflow.faults.rough import NORMAL_LENGTH, Rough, lengths
+from calflow.faults.rough import NORMAL_LENGTH, RobustFit, lengths
 from calflow.faults.segments import state_cost, states
 from calflow.faults.setup import SUSPECT_SCALE
 from calflow.measurements.measurements import Measurements
 
 TURN = 2 * np.pi
-PAST = np.deg2rad(1.0)  # past a limit: less may be rounding, or a limit of another kind
-MAX_LIMIT_SHARE = 0.2  # share of the rows: where more lie past a limit, the limit is doubted
-MIN_BLOCK_POSES = 3  # poses in a block: a motor that has lost a turn stays so for a while
-COUNTED_STEPS = 3.0  # times a step up to which a row's error counts
-TINY = 1e-9  # m by which a step moves a row at least
-REFINED = 3  # rounds in which rows and fit follow each other
-DECISIVE = 9.0  # by which one robot must be nearer to the nominal to choose a block by that, and not by its size
-CHANGE = 8.0  # what the begin or end of a block costs: as much as a row that is off by 150 robust standard deviations
-# Share of a block's rows that must be far better with the turn back, and of the others without.
+PAST = np.deg2rad(1.0)  # excess over a limit; less may be rounding, or another kind of limit
+MAX_LIMIT_SHARE = 0.2  # share of rows past a limit from which the limit is doubted
+MIN_BLOCK_POSES = 3  # least poses in a block: a lost turn persists
+COUNTED_STEPS = 3.0  # a row counts if its error is below so many steps
+TINY = 1e-9  # m: least displacement by a step
+REFINED = 3  # rounds of updating rows and fit in turn
+DECISIVE = 9.0  # difference of the deviations from nominal that decides between blocks, before their size
+CHANGE = 8.0  # cost of the begin or end of a block: that of an error of 150 robust standard deviations
+# Least share of a block's rows that must be far better with the turn corrected, and of the others without.
 MIN_IMPROVED_SHARE = 0.8
 
 
@@ -37,7 +37,7 @@ class TurnedBlock:
     rows: np.ndarray
 
     @property
-    def others(self) -> TurnedBlock:
+    def complement(self) -> TurnedBlock:
         """Return the complement with the opposite step, which differs by the joint's zero only."""
         return replace(self, step=-self.step, rows=~self.rows)
 
@@ -52,7 +52,7 @@ class TurnedBlock:
         return correct(data, Fault("encoder-turn", 0, (), "", "corrected", tuple(self.corrections)))
 
 
-def rows_apart(data: Measurements, fit: Rough, joint: int, step: float) -> tuple[float, TurnedBlock]:
+def turned_block(data: Measurements, fit: RobustFit, joint: int, step: float) -> tuple[float, TurnedBlock]:
     """Return the reduction of the cost, and the block of rows offset from all others by a step of a joint's reading.
 
     The fit itself may have absorbed a fraction of the step: errors in units of the step are then that fraction in some
@@ -81,7 +81,7 @@ def encoder_turn(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
     one if base or tool can absorb the difference.
     """
     faults = _motor(data, reference)
-    for turned in faults:  # a motor's turn may have taken readings past a limit
+    for turned in faults:  # a motor turn may have moved readings past a limit
         data = correct(data, turned)
     joints = range(data.robot.n_joints)
     return (*faults, *(turned for joint in joints for turned in _whole(data, joint)))
@@ -111,8 +111,8 @@ def _motor(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
     }
     if not steps:
         return ()
-    gain, block = max((rows_apart(data, reference.fit, j, step) for j, step in steps.items()), key=itemgetter(0))
-    sides = [_refined(data, reference, side) for side in (block, block.others)] if gain > 0 else []
+    gain, block = max((turned_block(data, reference.fit, j, step) for j, step in steps.items()), key=itemgetter(0))
+    sides = [_refined(data, reference, side) for side in (block, block.complement)] if gain > 0 else []
     explaining = [side for side in sides if side]
     if not explaining:
         return ()
@@ -131,14 +131,14 @@ def _refined(data: Measurements, reference: Reference, block: TurnedBlock) -> tu
     """
     pose = data.table["pose"].to_numpy()
     for _ in range(REFINED):
-        again = Reference.of(undone := block.undone(data), reference.explained.setup.on(undone))
+        again = Reference.of(undone := block.undone(data), reference.fitted.setup.on(undone))
         if again is None:
             return None
         fit = again.fit
         error = data.position - fit.predicted(data.conditions)
         before, after = lengths(error), lengths(error - fit.moved(data.conditions, block.joint, block.step))
         needed = states(np.stack([state_cost(before, fit.scale), state_cost(after, fit.scale)]), CHANGE) == 1
-        # Nearly all rows may need a turn that the fit has absorbed: the others must agree without it.
+        # If the fit has absorbed the turn, nearly all rows seem to need it: the others must agree without.
         if not all(
             len(set(pose[part])) >= MIN_BLOCK_POSES
             and fit.better(wrong[part], right[part]).mean() >= MIN_IMPROVED_SHARE
@@ -154,7 +154,7 @@ def _refined(data: Measurements, reference: Reference, block: TurnedBlock) -> tu
 def _fault(data: Measurements, block: TurnedBlock, what: str, why: str) -> Fault:
     statement = (
         f"joint {block.joint + 1}: in LINES the reading {why}, and is right with one {what} "
-        f"{'more' if block.step > 0 else 'less'}; corrected in memory; correct the file, too and check the joint's zero"
+        f"{'more' if block.step > 0 else 'less'}; corrected in memory; correct the file, too, and check the joint's zero"
     )
     return fault("encoder-turn", data, block.joint + 1, block.corrections, "corrected", statement)
 

@@ -11,10 +11,10 @@ from calflow.faults.setup import Setup
 from calflow.files.words import rounded
 from calflow.measurements.measurements import Measurements
 
-# In m, and of its reach: no robot is built so far from what its maker says.
+# In m, and as a share of the reach: largest deviation of a robot from its maker's dimensions.
 IMPLAUSIBLE_ERROR, IMPLAUSIBLE_SHARE = 0.1, 0.1
-MIN_POSES = 8  # poses: fewer are met by placing base and tool
-TOLERANCE = {"rad": np.deg2rad(0.5), "m": 1e-3}  # past a limit: less may be rounding, or a stop that gives way
+MIN_POSES = 8  # least number of poses: base and tool fit fewer
+TOLERANCE = {"rad": np.deg2rad(0.5), "m": 1e-3}  # excess over a limit; less may be rounding, or a compliant stop
 
 
 def nominal_misfit(setup: Setup) -> str:
@@ -24,23 +24,23 @@ def nominal_misfit(setup: Setup) -> str:
     """
     if setup.poses < MIN_POSES:
         return ""
-    far = float(np.median(setup.rigid.explained.error))
+    far = float(np.median(setup.rigid.fitted.error))
     reach = float(np.nanmax(np.linalg.norm(setup.points(), axis=1)))
     limit = min(IMPLAUSIBLE_ERROR, IMPLAUSIBLE_SHARE * reach)
     if far <= limit:
         return ""
     return (
-        f"the nominal robot, with base and tool placed where they fit best, misses half of all positions by {1e3 * far:,.0f} mm or "
-        f"more, which no calibration can correct (at most {rounded(1e3 * limit)} mm): check the units of readings and positions, "
-        "the order and the signs of the joints, their zeros (theta), the convention (dh or modified-dh), the order of the rows, "
-        "and that x, y, z are a right-handed frame"
+        f"the nominal robot, with base and tool fitted, misses half of all positions by {1e3 * far:,.0f} mm or more, which no "
+        f"calibration can correct (at most {rounded(1e3 * limit)} mm): check the units of readings and positions, the order and "
+        "signs of the joints, their zeros (theta), the convention (dh or modified-dh), the order of the rows, and that x, y, z "
+        "are a right-handed frame"
     )
 
 
 def past_limits(data: Measurements) -> Iterator[tuple[np.ndarray, str]]:
     """Yield for each joint the used rows (n_rows,) beyond its limits, and the problem in words.
 
-    Limits are of the joint variable, after sign and couplings; the words state if they seem to be meant for the
+    Limits are of the joint variable, after sign and couplings; the words say if they seem to be meant for the
     reading.
     """
     used = data.train | data.held_out
@@ -72,11 +72,11 @@ def _hint(data: Measurements, i: int, angle: np.ndarray, reading: np.ndarray) ->
         low, high = -factor * limits[1], -factor * limits[0]
         before, here = ("its coupling", "") if coupled else ("`sign`", f", here {low:.6g} to {high:.6g} {unit}")
         return (
-            f"the readings themselves are inside, so the limits seem to be given before {before}: expected the joint's own, after "
-            f"`sign` and couplings{here}"
+            f"the readings themselves are within, so the limits seem to be given before {before}: expected those of the joint "
+            f"variable, after `sign` and couplings{here}"
         )
     if (past(-angle, limits) < slack).all():
-        return f"with the sign turned all would be inside: expected sign = {-joint.sign}, or limits of the angle after `sign`"
+        return f"with the opposite sign all would be within: expected sign = {-joint.sign}, or limits of the angle after `sign`"
     return "correct these readings, or the limits in the robot file"
 
 

@@ -1,4 +1,4 @@
-"""Measured torque: torque columns whose sign or scale is not that of the robot file's masses."""
+"""Measured torque: torque columns with a sign or scale that contradicts the robot file's masses."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import numbered
 from calflow.robot.mechanism import Row, gravity_torque, moment_torques, reachable
 
-MIN_FREEDOM = 12  # rows more than figures that are fitted to a joint's torques
-LOADED = 0.02  # of the most loaded joint's gravity load: less says nothing
-OPEN = 0.05  # share of the payload's load that is left where links of unknown masses imitate it
-AGAINST = -0.9  # correlation from which a sign is surely wrong
-ALONG = 0.95  # correlation from which a scale can be told
-SCALE = 1.15  # times too large or too small: masses from a drawing are better than that
-MIN_DEVIATIONS = 5.0  # standard deviations
+MIN_FREEDOM = 12  # least residual degrees of freedom per joint
+LOADED = 0.02  # least gravity load, as a share of the most loaded joint's
+OPEN = 0.05  # least share of the payload's load not confounded with links of unknown mass
+AGAINST = -0.9  # correlation below which a sign is wrong
+ALONG = 0.95  # correlation above which a scale is determined
+SCALE = 1.15  # ratio beyond the error of masses from a drawing
+MIN_DEVIATIONS = 5.0  # significance of a wrong scale, in standard deviations
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ def measured_torque(data: Measurements) -> tuple[Fault, ...]:
     turned = {joint for joint, comparison in compared.items() if comparison.correlation < AGAINST}
     clear = {joint for joint, comparison in compared.items() if abs(comparison.correlation) > -AGAINST}
     backwards = {j for j, joint in enumerate(data.robot.joints) if joint.sign == -1}
-    # Columns of the motors' torques as the controller counts them: all alike, those of unloaded joints too.
+    # The controller's sign convention of motor torques: all joints alike, unloaded ones too.
     for alike in (set(range(data.robot.n_joints)), backwards):
         if turned and turned == alike & {*compared} == alike & clear:
             signs = [_turned(data, joint, compared.get(joint), True) for joint in sorted(alike)]
@@ -59,14 +59,17 @@ def measured_torque(data: Measurements) -> tuple[Fault, ...]:
 
 def _turned(data: Measurements, joint: int, compared: TorqueComparison | None, clear: bool) -> Fault:
     """Return the fault of a joint's torques with the wrong sign, which is corrected if that is unambiguous."""
-    number, why = joint + 1, "as those of the joints that gravity loads"
+    number, why = joint + 1, "like those of joints loaded by gravity"
     if compared:
         why = f"correlation {compared.correlation:.3f} with {compared.against}"
-    correction, action = Correction(0, f"tau{number}", factor=-1.0), f"turned here, turn the sign of column tau{number}"
+    correction, action = (
+        Correction(0, f"tau{number}", factor=-1.0),
+        f"corrected in memory; change the sign of column tau{number}",
+    )
     if not clear:
         correction, action = (
             Correction(0),
-            f"not changed, since other joints' are right: find out which way tau{number} counts",
+            f"not changed, since other joints' are right: check the sign convention of tau{number}",
         )
     statement = f"joint {number}: measured torques have the wrong sign ({why}); {action}"
     return fault("torque-sign", data, number, [correction], "corrected" if clear else "told", statement)
@@ -77,7 +80,7 @@ def _scaled(data: Measurements, compared: TorqueComparison) -> Fault:
     statement = (
         f"joint {number}: measured torques are {abs(compared.slope):.2g} times {compared.against} (correlation "
         f"{abs(compared.correlation):.3f}); not changed: check the unit of tau{number}, "
-        "whether it is the motor's side of the gear, the masses, and whether a spring or cylinder carries a part"
+        "whether it is the torque before the gear, the masses, and whether a spring or cylinder carries a part"
     )
     where = f"{MEASUREMENT_FILE} or {ROBOT_FILE}"
     return fault("torque-scale", data, number, [Correction(0)], "told", statement, where)
@@ -102,11 +105,11 @@ def comparisons(data: Measurements) -> tuple[TorqueComparison, ...]:
     held = _mapped(gravity_torque(robot), angles, payload)
     moments = None
     if robot.has_masses:
-        against = "what the robot file's masses ask for"
+        against = "the gravity torque of the robot file's masses"
     elif any(load.mass for load in robot.payloads.values()):
         held = held - _mapped(gravity_torque(robot), angles, 0 * payload)
         moments = np.array(moment_torques(robot).map(len(angles))(angles.T)).T.reshape(len(angles), -1, robot.n_joints)
-        against = "what the known payloads ask for"
+        against = "the gravity torque of the known payloads"
     else:
         return ()
     spread = held.std(axis=0)

@@ -12,13 +12,13 @@ from itertools import combinations
 import numpy as np
 
 from calflow.faults.base import Correction, Fault, fault
-from calflow.faults.mistake import of_rows
+from calflow.faults.mistake import row_mistakes
 from calflow.faults.reference import Reference
 from calflow.faults.rough import lengths
 from calflow.measurements.measurements import Measurements
 
-MAX_GROSS_ROWS = 40  # rows that are grossly off, among which pairs of any poses are looked for
-MAX_PAIRS = 2  # pairs of other poses: where there are more, rows are in disorder
+MAX_GROSS_ROWS = 40  # largest number of gross rows among which pairs of any poses are sought
+MAX_PAIRS = 2  # largest number of pairs of different poses: with more, rows are in disorder
 
 
 def unit_mistake(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
@@ -28,7 +28,7 @@ def unit_mistake(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
     """
     rows, faults = np.flatnonzero(reference.gross & reference.plausible), []
     there, fit = reference.setup.at(data, rows), reference.fit
-    tried = [mistake for mistake in of_rows(data) if mistake.id == "unit-mistake"]
+    tried = [mistake for mistake in row_mistakes(data) if mistake.id == "unit-mistake"]
     undone = [mistake.undo(there) for mistake in tried]
     after = np.stack([lengths(setup.position - fit.predicted(setup.conditions)) for setup in undone])
     better = fit.better(reference.miss[rows], after)
@@ -55,8 +55,8 @@ def exchanged(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
     if len({(pose[i], pose[j]) for i, j in pairs}) > MAX_PAIRS:
         pairs = []
     markers = dict.fromkeys(data.table["marker"].iloc[[row for pair in swaps for row in pair]].astype(str))
-    swapped = f"markers {' and '.join(markers)} were taken for each other in LINES; exchanged, correct the file"
-    moved = "positions are in each other's rows in LINES; swapped back, correct the file"
+    swapped = f"markers {' and '.join(markers)} are exchanged in LINES; corrected in memory; correct the file, too"
+    moved = "positions of pairs of rows are exchanged in LINES; corrected in memory; correct the file, too"
     return (*_exchange(data, "marker-swap", swaps, swapped), *_exchange(data, "rows-exchanged", pairs, moved))
 
 

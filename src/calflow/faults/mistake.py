@@ -10,9 +10,9 @@ from itertools import combinations, permutations
 import numpy as np
 
 from calflow.effects.misstated_payload import PayloadMass
-from calflow.faults.base import EXCHANGED, MEASUREMENT_FILE, PLACE, POSITION, ROBOT_FILE, Correction
+from calflow.faults.base import AXES, EXCHANGED, MEASUREMENT_FILE, POSITION, ROBOT_FILE, Correction
 from calflow.faults.rough import PLACED_SD, motion
-from calflow.faults.setup import STATED_SD, ExplainedSetup, Setup
+from calflow.faults.setup import STATED_SD, FittedSetup, Setup
 from calflow.files.deferred import Rotation
 from calflow.files.words import listed, rounded
 from calflow.measurements.measurements import Measurements
@@ -21,25 +21,25 @@ from calflow.robot.mechanism import Row
 from calflow.robot.parts import Parameter
 
 POUND, INCH, DEGREE = 0.45359237, 25.4, 180 / np.pi
-ONE, ONCE_MORE = -np.log(300.0), -np.log(20.0)  # odds of a single one of all mistakes, and of each further one alike
-ARBITRARY = -np.log(10.0)  # odds of any figure against one that is off by a right angle or stands in another's place
-ANYWHERE = np.log(PLACED_SD / STATED_SD)  # of each coordinate of what stands elsewhere: all places are alike
-EVERY = 7  # joints up to which all combinations of signs are tried, else one or two at a time
-BENT = 0.1  # rad: a twist whose sign matters
-RADIANS = 0.12  # rad: up to so much an angle may be radians that were read as degrees
-DIFFERENT = 1e-3  # m by which lengths that were exchanged differ
-SLIP = 0.01  # m or rad within which what the positions ask for is a figure with a slip of the pen
-LARGEST = 2.5  # rad: a relative rotation beyond may as well be one the other way about
+LOG_ODDS, LOG_ODDS_MORE = -np.log(300.0), -np.log(20.0)  # prior odds of any one mistake, and of each further one alike
+ARBITRARY = -np.log(10.0)  # prior odds of an arbitrary value against a definite error
+ANYWHERE = np.log(PLACED_SD / STATED_SD)  # prior odds of each coordinate of a displaced part, uniform over positions
+MOST_COMBINED = 7  # most joints for which all combinations of signs are tried, else up to two joints
+MIN_TWIST = 0.1  # rad: least twist whose sign matters
+RADIANS = 0.12  # rad: largest angle that may be radians read as degrees
+DIFFERENT = 1e-3  # m: least difference of exchanged lengths
+TYPO = 0.01  # m: tolerance between an estimate and the value without a typing error
+MOST_ROTATION = 2.5  # rad: beyond it the axis of a relative rotation is ambiguous
 
 Undo = Callable[[Setup], Setup]
-RIGHT = np.eye(3)
-REFLECTIONS = {  # what was done to the axes, by the quantity that is mended
+IDENTITY = np.eye(3)
+REFLECTIONS = {  # of the axes, by the corrected quantity
     "x": np.diag([-1.0, 1.0, 1.0]),
     "y": np.diag([1.0, -1.0, 1.0]),
     "z": np.diag([1.0, 1.0, -1.0]),
-    "x and y": RIGHT[[1, 0, 2]],
-    "x and z": RIGHT[[2, 1, 0]],
-    "y and z": RIGHT[[0, 2, 1]],
+    "x and y": IDENTITY[[1, 0, 2]],
+    "x and z": IDENTITY[[2, 1, 0]],
+    "y and z": IDENTITY[[0, 2, 1]],
 }
 
 
@@ -55,11 +55,11 @@ class Mistake:
     id: str
     joint: int
     undo: Undo
-    words: str | Callable[[ExplainedSetup], str]
-    log_prior: float = ONE
+    words: str | Callable[[FittedSetup], str]
+    log_prior: float = LOG_ODDS
     corrections: tuple[Correction, ...] = ()
     where: str = ROBOT_FILE
-    cure: str = ""
+    remedy: str = ""
     in_rows: tuple[Correction, ...] = ()
 
     def within(self, rows: np.ndarray, which: str, log_prior: float) -> Mistake:
@@ -77,13 +77,13 @@ class Mistake:
         corrections = [replace(made, row=int(row) + 1) for row in np.flatnonzero(rows) for made in self.in_rows]
         return replace(
             self, undo=undo, words=f"{which}: {self.words}", log_prior=log_prior, corrections=tuple(corrections),
-            where=MEASUREMENT_FILE, cure="correct these rows of the measurement file",
+            where=MEASUREMENT_FILE, remedy="correct these rows of the measurement file",
         )  # fmt: skip
 
 
 def mistakes(data: Measurements, setup: Setup) -> Iterator[Mistake]:
     """Yield every single mistake of robot dimensions and table that is observable when base and tool are fitted."""
-    figures = Figures(data, setup)
+    figures = LinkDimensions(data, setup)
     yield from _signs(data)
     yield from _columns(data)
     yield from _coupled(data)
@@ -94,7 +94,7 @@ def mistakes(data: Measurements, setup: Setup) -> Iterator[Mistake]:
     yield from figures.misread()
 
 
-def of_rows(data: Measurements) -> Iterator[Mistake]:
+def row_mistakes(data: Measurements) -> Iterator[Mistake]:
     """Yield every single mistake of the table that may concern a subset of rows."""
     yield from (mistake for mistake in _signs(data) if len(mistake.in_rows) == 1)
     yield from _columns(data)
@@ -105,26 +105,26 @@ def of_rows(data: Measurements) -> Iterator[Mistake]:
 
 def freed(data: Measurements, setup: Setup) -> Iterator[Mistake]:
     """Yield, for every dimension of the links, the mistake of an arbitrary value."""
-    yield from Figures(data, setup).mistyped()
+    yield from LinkDimensions(data, setup).mistyped()
 
 
 def misplaced(data: Measurements, setup: Setup) -> Iterator[Mistake]:
     """Yield markers and a base with a wrong stated pose."""
-    yield from Figures(data, setup).markers()
+    yield from LinkDimensions(data, setup).markers()
     if setup.turn is not None:
-        yield Mistake("base-elsewhere", 0, _freed(*setup.base), _base, ANYWHERE * 6 + ONE)
+        yield Mistake("base-elsewhere", 0, _freed(*setup.base), _base, ANYWHERE * 6 + LOG_ODDS)
 
 
 def loads(data: Measurements, setup: Setup) -> Iterator[Mistake]:
     """Yield every single mistake of the loads, observable only by elastic deflection."""
     yield from _names(data, "payload")
-    yield from Figures(data, setup).pounds()
+    yield from LinkDimensions(data, setup).pounds()
 
 
 # --- The table -----------------------------------------------------------------------------------------
 
 
-def _read(changes: Mapping[int, tuple[int, float]]) -> Undo:
+def _mapped(changes: Mapping[int, tuple[int, float]]) -> Undo:
     """Return the function that replaces packed conditions, by index, by those of another index times a factor."""
 
     def undo(setup: Setup) -> Setup:
@@ -136,7 +136,7 @@ def _read(changes: Mapping[int, tuple[int, float]]) -> Undo:
     return undo
 
 
-def _seen(matrix: np.ndarray) -> Undo:
+def _linear(matrix: np.ndarray) -> Undo:
     """Return the function that multiplies positions by a matrix (3, 3)."""
     magnification = float(np.cbrt(abs(np.linalg.det(matrix))))
     return lambda setup: replace(setup, position=setup.position @ matrix.T, magnification=magnification)
@@ -144,37 +144,37 @@ def _seen(matrix: np.ndarray) -> Undo:
 
 def _signs(data: Measurements) -> Iterator[Mistake]:
     n = data.robot.n_joints
-    for size in range(1, n + 1 if n <= EVERY else 3):
+    for size in range(1, n + 1 if n <= MOST_COMBINED else 3):
         for joints in combinations(data.robot.driven, size):
             names = [str(joint + 1) for joint in joints]
             columns = listed([f"q{name}" for name in names])
             signs = listed([f"{-data.robot.joints[joint].sign}" for joint in joints])
             where = f"joint {names[0]}" if size == 1 else f"joints {listed(names)}"
-            cure = (
-                f"turn the sign of column{'s' * (size > 1)} {columns}, or say sign = {signs} for "
+            remedy = (
+                f"change the sign of column{'s' * (size > 1)} {columns}, or state sign = {signs} for "
                 f"{'this joint' if size == 1 else 'these joints'} in the robot file"
             )
             corrections = tuple(Correction(0, f"q{name}", factor=-1.0) for name in names)
             yield Mistake(
-                "joint-sign", joints[0] + 1, _read({joint: (joint, -1.0) for joint in joints}),
-                f"{where}: all readings have the wrong sign", ONE + (size - 1) * ONCE_MORE, corrections, MEASUREMENT_FILE, cure,
-                corrections,
+                "joint-sign", joints[0] + 1, _mapped({joint: (joint, -1.0) for joint in joints}),
+                f"{where}: all readings have the wrong sign", LOG_ODDS + (size - 1) * LOG_ODDS_MORE, corrections,
+                MEASUREMENT_FILE, remedy, corrections,
             )  # fmt: skip
 
 
 def _columns(data: Measurements) -> Iterator[Mistake]:
     """Yield exchanged columns of readings or marker names, wrong units, and columns a pose late or early."""
     for i, j in combinations(data.robot.driven, 2):
-        words, cure = f"columns q{i + 1} and q{j + 1} are exchanged", "exchange their names in the measurement file"
-        undo = _read({i: (j, 1.0), j: (i, 1.0)})
-        yield Mistake("columns-exchanged", i + 1, undo, words, where=MEASUREMENT_FILE, cure=cure)
+        words, remedy = f"columns q{i + 1} and q{j + 1} are exchanged", "exchange their names in the measurement file"
+        undo = _mapped({i: (j, 1.0), j: (i, 1.0)})
+        yield Mistake("columns-exchanged", i + 1, undo, words, where=MEASUREMENT_FILE, remedy=remedy)
     yield from _names(data, "marker")
     yield from _table_units(data)
     for i in data.robot.driven:
         for by, when in ((1, "late"), (-1, "early")):
-            words = f"the readings in column q{i + 1} stand a pose too {when} against all others"
+            words = f"the readings in column q{i + 1} are a pose too {when} against all others"
             yield Mistake(
-                "column-shifted", i + 1, _shifted(data, i, by), words, where=MEASUREMENT_FILE, cure="shift them back"
+                "column-shifted", i + 1, _shifted(data, i, by), words, where=MEASUREMENT_FILE, remedy="shift them back"
             )
 
 
@@ -188,14 +188,16 @@ def _shifted(data: Measurements, joint: int, by: int) -> Undo:
 
 
 def _coupled(data: Measurements) -> Iterator[Mistake]:
-    """Yield joints whose column holds the angle against the link before the last, as of a parallelogram's motors."""
+    """Yield joints whose readings count from the link before the previous one, as with a parallelogram's motors."""
     joints = data.robot.joints
     for i, j in zip(data.robot.driven[1:], data.robot.driven, strict=False):
         if joints[i].kind == joints[j].kind == "revolute":
             for factor in (1, -1):
-                words = f"the readings in column q{i + 1} do not count from the link before: joint {j + 1} turns that joint too"
-                cure = f"say joint = {i + 1}, source = {j + 1}, factor = {factor} in [[couplings]] of the robot file"
-                yield Mistake("joint-coupled", i + 1, _added(i, j, factor * joints[i].sign), words, cure=cure)
+                words = f"the readings in column q{i + 1} do not count from the previous link: joint {j + 1} turns that joint, too"
+                remedy = (
+                    f"state joint = {i + 1}, source = {j + 1}, factor = {factor} in [[couplings]] of the robot file"
+                )
+                yield Mistake("joint-coupled", i + 1, _added(i, j, factor * joints[i].sign), words, remedy=remedy)
 
 
 def _added(joint: int, other: int, times: float) -> Undo:
@@ -205,48 +207,50 @@ def _added(joint: int, other: int, times: float) -> Undo:
 
 def _axes(data: Measurements, setup: Setup) -> Iterator[Mistake]:
     """Yield left-handed frames and cyclic exchanges of axes; one of those that only the base's pose distinguishes."""
-    names, meant = list(REFLECTIONS), "; or other axes, with the base turned otherwise"
+    names, meant = list(REFLECTIONS), "; or other axes, with another rotation of the base"
     if setup.turn is not None:
         meant = ""
         for order in list(permutations(range(3)))[3:5]:
-            columns = ", ".join(PLACE[k] for k in order)
-            words = f"columns x, y, z are in another order: read as {columns} they fit"
-            undo = _seen(RIGHT[list(order)])
-            yield Mistake("axes-exchanged", 0, undo, words, where=MEASUREMENT_FILE, cure="name them so")
-    elif (expected := _expected(data, setup)) is not None:
+            columns = ", ".join(AXES[k] for k in order)
+            words = f"columns x, y, z are in another order: they fit as {columns}"
+            undo = _linear(IDENTITY[list(order)])
+            yield Mistake("axes-exchanged", 0, undo, words, where=MEASUREMENT_FILE, remedy="name them so")
+    elif (expected := _base_rotation(data, setup)) is not None:
         mirror = REFLECTIONS["y"]
         turn = motion(setup.points(), setup.position @ mirror.T)[0]
         away = {name: np.trace(expected.T @ mend @ mirror @ turn) for name, mend in REFLECTIONS.items()}
         names, meant = [max(away, key=away.__getitem__)], ""
     else:
         names = ["y"]
-    every = (0,) if len(data.series) == 1 else range(1, len(data) + 1)  # other series have values of their own there
-    # A representative has the probability of all.
+    every = (
+        (0,) if len(data.series) == 1 else range(1, len(data) + 1)
+    )  # other series have their own values in these columns
+    # One representative has the probability of all.
     for name in names:
-        yield replace(_reflected(name, meant, every), log_prior=ONE + np.log(len(REFLECTIONS) / len(names)))
+        yield replace(_reflected(name, meant, every), log_prior=LOG_ODDS + np.log(len(REFLECTIONS) / len(names)))
 
 
 def _reflected(name: str, meant: str, every: Sequence[int]) -> Mistake:
     """Return the mistake that an axis, or two, make a frame left-handed in every row."""
     both = name in EXCHANGED
-    what = f"the axes {name} are exchanged" if both else f"the axis {name} points the other way"
+    what = f"the axes {name} are exchanged" if both else f"the axis {name} is reversed"
     words, row = f"x, y, z are no right-handed frame: {what}{meant}", Correction(0, name, 1.0 if both else -1.0)
     corrections = tuple(replace(row, row=number) for number in every)
     return Mistake(
-        "frame-mirrored", 0, _seen(REFLECTIONS[name]), words, ONE, corrections, MEASUREMENT_FILE,
+        "frame-mirrored", 0, _linear(REFLECTIONS[name]), words, LOG_ODDS, corrections, MEASUREMENT_FILE,
         "correct the measurement file", (row,),
     )  # fmt: skip
 
 
-def _expected(data: Measurements, setup: Setup) -> np.ndarray | None:
-    """Return the base's rotation (3, 3) expected from the tool's orientations, for any tool; None without these."""
+def _base_rotation(data: Measurements, setup: Setup) -> np.ndarray | None:
+    """Return the base's rotation (3, 3) by the measured orientations, for any tool; None without these."""
     if data.rotation is None:
         return None
     there = np.flatnonzero(np.isfinite(data.rotation).all(axis=(1, 2)) & data.train)
-    predicted = Rotation.from_matrix(setup.model.rotation(setup.expected.mean, data.conditions[:, there]))
+    predicted = Rotation.from_matrix(setup.model.rotation(setup.prior.mean, data.conditions[:, there]))
     seen = Rotation.from_matrix(data.rotation[there])
     axes, wanted = ((turns[1:] * turns[:-1].inv()).as_rotvec() for turns in (predicted, seen))
-    clear = np.linalg.norm(axes, axis=1) < LARGEST
+    clear = np.linalg.norm(axes, axis=1) < MOST_ROTATION
     return Rotation.align_vectors(wanted[clear], axes[clear])[0].as_matrix() if clear.sum() > 1 else None
 
 
@@ -258,9 +262,11 @@ def _names(data: Measurements, label: str) -> Iterator[Mistake]:
     for (i, name), (j, other) in combinations(enumerate(names), 2):
         if {name, other} & there:
             words = f"{label}s {name} and {other} are exchanged"
-            cure = "exchange their names in the measurement file, or in the robot file"
-            undo = _read({first + i: (first + j, 1.0), first + j: (first + i, 1.0)})
-            yield Mistake(f"{label}s-exchanged", 0, undo, words, where=f"{MEASUREMENT_FILE} or {ROBOT_FILE}", cure=cure)
+            remedy = "exchange their names in the measurement file, or in the robot file"
+            undo = _mapped({first + i: (first + j, 1.0), first + j: (first + i, 1.0)})
+            yield Mistake(
+                f"{label}s-exchanged", 0, undo, words, where=f"{MEASUREMENT_FILE} or {ROBOT_FILE}", remedy=remedy
+            )
 
 
 def _table_units(data: Measurements) -> Iterator[Mistake]:
@@ -268,16 +274,16 @@ def _table_units(data: Measurements) -> Iterator[Mistake]:
         (INCH, "inches instead of mm"), (1 / INCH, "mm instead of inches"), (1e3, "m instead of mm"), (1e-3, "mm instead of m")
     ):  # fmt: skip
         yield Mistake(
-            "unit-mistake", 0, _seen(factor * RIGHT), f"x, y, z are in {words}", where=MEASUREMENT_FILE,
-            cure="correct their unit", in_rows=(Correction(0, POSITION, float(f"{factor:.10g}")),),
+            "unit-mistake", 0, _linear(factor * IDENTITY), f"x, y, z are in {words}", where=MEASUREMENT_FILE,
+            remedy="correct their unit", in_rows=(Correction(0, POSITION, float(f"{factor:.10g}")),),
         )  # fmt: skip
     for i in data.robot.driven:
         for factor, words in ((DEGREE, "radians instead of degrees"), (1 / DEGREE, "degrees instead of radians")):
             if data.robot.joints[i].kind == "revolute":
                 in_rows = (Correction(0, f"q{i + 1}", float(f"{factor:.10g}")),)
                 yield Mistake(
-                    "unit-mistake", i + 1, _read({i: (i, factor)}), f"column q{i + 1} is in {words}", where=MEASUREMENT_FILE,
-                    cure="correct its unit", in_rows=in_rows,
+                    "unit-mistake", i + 1, _mapped({i: (i, factor)}), f"column q{i + 1} is in {words}", where=MEASUREMENT_FILE,
+                    remedy="correct its unit", in_rows=in_rows,
                 )  # fmt: skip
 
 
@@ -296,14 +302,14 @@ def _conventions(setup: Setup) -> Iterator[Mistake]:
                 for joint in robot.joints:
                     other = frame(**replace(joint.frame, origin=()).figures)
                     joints.append(replace(joint, frame=replace(other, origin=joint.frame.origin)))
-                return setup.by(replace(robot, joints=tuple(joints)))
+                return setup.with_robot(replace(robot, joints=tuple(joints)))
 
-            words = f"the figures of the robot file are of the convention {name}, and read as {stated}"
-            yield Mistake("other-convention", 0, undo, words, cure=f'expected convention = "{name}"')
+            words = f"the dimensions of the robot file are of the convention {name}, but read as {stated}"
+            yield Mistake("other-convention", 0, undo, words, remedy=f'expected convention = "{name}"')
 
 
 @dataclass(frozen=True)
-class Figures:
+class LinkDimensions:
     """The robot's dimensions, as parameters of the set-up's model."""
 
     data: Measurements
@@ -337,19 +343,19 @@ class Figures:
         """Yield definite errors of dimensions: a twist's sign, a zero by right angles, another unit."""
         for joint, steps in enumerate(self.steps, start=1):
             for k in steps:
-                for kind, right, what in self._meant(joint, k):
+                for kind, right, what in self._intended(joint, k):
                     change = _changed({k: right - self.parameters[k].figure})
                     yield Mistake(kind, joint, change, f"{what}; {self._stated(k, right)}")
-        for factor, words in ((INCH, "in inches"), (1 / INCH, "in mm that were taken for inches")):
+        for factor, words in ((INCH, "in inches"), (1 / INCH, "in mm read as inches")):
             lengths = {k: (factor - 1) * self.parameters[k].figure for k in self.lengths}
             yield Mistake("unit-mistake", 0, _changed(lengths), f"all lengths of the robot file are {words}")
 
-    def _meant(self, joint: int, k: int) -> Iterator[tuple[str, float, str]]:
-        """Yield the intended values of a joint's angle: the mistake's id, the right value [rad], and its wording."""
+    def _intended(self, joint: int, k: int) -> Iterator[tuple[str, float, str]]:
+        """Yield the intended values of a joint's angle: the mistake's id, the right value [rad], and the wording."""
         value, is_turn = self.parameters[k].figure, k in self.turns
         if self.parameters[k].unit != "rad":
             return
-        if not is_turn and BENT < abs(value) < np.pi - BENT:
+        if not is_turn and MIN_TWIST < abs(value) < np.pi - MIN_TWIST:
             yield "twist-sign", -value, f"joint {joint}: the twist {self.parameters[k].symbol} has the wrong sign"
         if is_turn and self.data.robot.joints[joint - 1].kind == "revolute":
             for off in (90, -90, 180):
@@ -381,16 +387,18 @@ class Figures:
             values = [(k, self.parameters[k].figure, m, self.parameters[m].figure) for k, m in pairs]
             if len(self.steps[i]) == len(self.steps[j]) and sum(a != b for _, a, _, b in values) > 1:
                 change = {k: b - a for k, a, _, b in values} | {m: a - b for _, a, m, b in values}
-                words = f"the figures of joints {i + 1} and {j + 1} are exchanged; exchange them in the robot file"
+                words = f"the dimensions of joints {i + 1} and {j + 1} are exchanged; exchange them in the robot file"
                 yield Mistake("joints-exchanged", i + 1, _changed(change), words)
 
     def mistyped(self) -> Iterator[Mistake]:
         """Yield lengths and zeros with an arbitrary value."""
         for k in (*self.lengths, *self.turns):
-            yield Mistake("figure-mistyped", self.parameters[k].joint, _freed(k), self._typed(k), ONE + ARBITRARY)
+            yield Mistake(
+                "figure-mistyped", self.parameters[k].joint, _freed(k), self._mistyped(k), LOG_ODDS + ARBITRARY
+            )
 
-    def _typed(self, k: int) -> Callable[[ExplainedSetup], str]:
-        def words(explanation: ExplainedSetup) -> str:
+    def _mistyped(self, k: int) -> Callable[[FittedSetup], str]:
+        def words(explanation: FittedSetup) -> str:
             right, typed = explanation.figure(self.parameters[k]), self.parameters[k].figure
             slip = _slip(typed, right) if self.parameters[k].unit == "m" else ""
             return f"{self._name(k)} is mistyped{slip}; {self._stated(k, right, 'about ')}"
@@ -402,17 +410,19 @@ class Figures:
         for name in self.data.robot.markers:
             columns = [k for k in self.setup.stated if self.parameters[k].part == name]
             if columns:
-                yield Mistake("marker-elsewhere", 0, _freed(*columns), self._marker(name, columns), 3 * ANYWHERE + ONE)
+                yield Mistake(
+                    "marker-elsewhere", 0, _freed(*columns), self._marker(name, columns), 3 * ANYWHERE + LOG_ODDS
+                )
 
-    def _marker(self, name: str, columns: list[int]) -> Callable[[ExplainedSetup], str]:
-        def words(explanation: ExplainedSetup) -> str:
+    def _marker(self, name: str, columns: list[int]) -> Callable[[FittedSetup], str]:
+        def words(explanation: FittedSetup) -> str:
             right = np.array([explanation.figure(self.parameters[k]) for k in columns])
             typed = np.array([self.parameters[k].figure for k in columns])
             far = np.linalg.norm(right - typed)
-            other_axes = np.abs(np.sort(np.abs(right)) - np.sort(np.abs(typed))).max() < max(SLIP, 0.2 * far)
+            other_axes = np.abs(np.sort(np.abs(right)) - np.sort(np.abs(typed))).max() < max(TYPO, 0.2 * far)
             axes = "on another axis" if other_axes else f"{rounded(1e3 * float(far))} mm off"
             expected = f"expected about point_mm = [{_mm(right)}] in the robot file, found [{_mm(typed)}]"
-            return f"marker {name} is typed {axes}; {expected}"
+            return f"marker {name} is mistyped, {axes}; {expected}"
 
         return words
 
@@ -438,7 +448,7 @@ class Figures:
 
 
 def _changed(changes: dict[int, float]) -> Undo:
-    return lambda setup: setup.with_figures(changes)
+    return lambda setup: setup.with_dimensions(changes)
 
 
 def _freed(*figures: int) -> Undo:
@@ -453,23 +463,23 @@ def _slip(typed: float, right: float) -> str:
     """Return in words the typing error that turns the right length [m] into the typed one; empty if none does."""
     slips = {"its sign": -1.0, "a digit too few": 10.0, "a digit too many": 0.1, "inches": INCH, "mm": 1 / INCH}
     for words, factor in slips.items():
-        if abs(factor * typed - right) < min(SLIP, abs(right) / 4):
+        if abs(factor * typed - right) < min(TYPO, abs(right) / 4):
             return f" ({words})"
     digits = f"{abs(round(1e3 * typed, 3)):.10g}"
     for i, j in combinations(range(len(digits)), 2):
         swapped = [*digits]
         swapped[i], swapped[j] = swapped[j], swapped[i]
         value = "".join(swapped)
-        if value.count(".") < 2 and abs(np.copysign(float(value) / 1e3, typed) - right) < SLIP / 2:
+        if value.count(".") < 2 and abs(np.copysign(float(value) / 1e3, typed) - right) < TYPO / 2:
             return f" (digits exchanged: {value})"
     return ""
 
 
-def _base(explanation: ExplainedSetup) -> str:
+def _base(explanation: FittedSetup) -> str:
     turn, origin = explanation.base
     degrees = ", ".join(f"{value:.4g}" for value in np.rad2deg(angles(Rotation.from_matrix(turn))) + 0.0)
     return (
-        f"the base does not stand where the robot file says; expected about origin_mm = [{_mm(origin)}], rotation_deg = "
-        f"[{degrees}] in [base] (a turn about joint 1's axis may as well be that joint's zero), or known = false, for the "
-        "poses to say"
+        f"the base is not where the robot file states it; expected about origin_mm = [{_mm(origin)}], rotation_deg = "
+        f"[{degrees}] in [base] (a rotation about joint 1's axis may equally be that joint's zero), or known = false, to "
+        "estimate it"
     )

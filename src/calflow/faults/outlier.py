@@ -1,12 +1,8 @@
-"""Outlier: a row that is grossly off, and nobody knows why.
+"""Outliers: rows with gross errors of unknown reason.
 
-Gross errors of rows that are no positions in the measuring frame: lengths, contacts, further stations.
-
-What is wrong with such rows is not searched for kind by kind, as with positions: rows are found that a robust fit of the
-geometry leaves far off. Of whole images that are, it is said where their points are counted from another end of the target.
-Odd rows: outliers by the final model, once what explains the others is in it.
-
-The tail of residuals: how far the largest of so many may be, by how heavy-tailed the others are.
+Positions are judged by the robust fit of their set-up. Other rows (lengths, contacts, further stations, images) are
+judged by a robust fit of the geometry, and images whose points are numbered from another corner are named. Odd rows are
+outliers against the final model, by a limit that follows from the tail of the other residuals.
 """
 
 from __future__ import annotations
@@ -26,64 +22,78 @@ from calflow.estimation.noise import measured_noise, median_length
 from calflow.estimation.registration import in_measuring_frame, registered
 from calflow.faults.base import Correction, Fault, fault
 from calflow.faults.reference import EQUATIONS, Reference
-from calflow.faults.rough import GROSS, LEAST_GROSS, Rough
+from calflow.faults.rough import GROSS, LEAST_GROSS, RobustFit
 from calflow.files.units import METRE, MeasurementUnit
 from calflow.files.words import rounded
 from calflow.measurements.measurements import Measurements, image_numbers
 from calflow.model import build
 from calflow.observations import observations
 
-# Nothing but its size speaks for an outlier, so noise with heavy tails must not look like one: the limit is what the
-# largest of so many rows exceeds once in 300 data sets if each axis has Student's t with 3 degrees of freedom, measured by
-# the 90 % quantile of the rows that are not gross (4.1 for the length of three such t's). At 120 rows that is 38 standard
-# deviations of normal noise. Of many such rows, or of such that go together, the model lacks the cause.
+# The only evidence for an outlier is its size, so the limit allows for heavy tails: the largest of n rows exceeds it in
+# one of 300 data sets if each axis has Student's t with 3 degrees of freedom, scaled by the 90 % quantile of rows without
+# gross errors (4.1 for the length of three such t's). At 120 rows that is 38 standard deviations of normal noise. Many or
+# clustered outliers are a cause that the model lacks.
 DEGREES, TAIL_QUANTILE, TAIL_LENGTH = 3, 0.9, 4.0972
-FALSE = 1 / 300  # data sets without a fault in which one is found
-MAX_OUTLIER_SHARE = 0.15  # of the rows: more are no outliers
-GROUP = 0.5  # of a payload's or marker's rows: more are a payload or marker of another kind
-RUN, SAME_WAY = 4, 0.7  # poses in a row that err this much the same way: a step or a drift
-SMALL = 1e-4  # rad or m: a step of a joint
-ALONG, SHARE = 0.9, 0.8  # cosine to the way a joint moves the tool, of this share of the rows: something in that joint
+FALSE_ALARM = 1 / 300  # share of data sets without a fault in which one is found
+MAX_OUTLIER_SHARE = 0.15  # of the rows: more are not outliers
+GROUP = 0.5  # share of a payload's or marker's rows from which these are a cluster
+RUN, SAME_WAY = 4, 0.7  # consecutive poses with errors in one direction (mean resultant length): a step or drift
+SMALL = 1e-4  # rad or m: difference step of a joint
+ALONG, SHARE = 0.9, 0.8  # cosine to a joint's direction of motion, in this share of the rows: an error of that joint
 FLIPPED = "flipped-image"
 FLIPS = {"from the opposite corner": ("px_x", "px_y"), "mirrored along x": ("px_x",), "mirrored along y": ("px_y",)}
-MOSTLY = 0.8  # of an image's points: those in its middle are nearly where they would be
-NEARER = 0.1  # of the miss: what is left of it where the points are counted so
-FALSE_ODD_ROW = 1 / 500  # data sets that a gap's limit is made for; of several gaps tried: fewer than one of 300
-REMOVED, LEAST_REMOVED = 0.1, 3  # share and number of the rows that are held against the others at most
-GAPS = 3  # gaps that are tried
-TAIL_DEGREES = (2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 8.0, 11.0, 15.0, 22.0, 35.0, 60.0, 1e3)  # of Student's t, that are tried
-DOUBT = 2.0  # fall of twice the log-likelihood up to which heavier tails are reckoned with
-MIN_TAIL_VALUES = 60  # values, of which a tail can be told
+MOSTLY = 0.8  # least share of an image's points: central ones hardly move
+NEARER = 0.1  # largest ratio of the errors with the other numbering
+ODD_ROW_FALSE_ALARM = 1 / 500  # false-alarm rate per gap; below 1 / 300 for all gaps tried
+REMOVED, LEAST_REMOVED = 0.1, 3  # largest share and number of rows tested against the others
+GAPS = 3  # number of gaps tried
+TAIL_DEGREES = (
+    2.5,
+    3.0,
+    3.5,
+    4.0,
+    5.0,
+    6.0,
+    8.0,
+    11.0,
+    15.0,
+    22.0,
+    35.0,
+    60.0,
+    1e3,
+)  # candidate degrees of freedom of Student's t
+DOUBT = 2.0  # fall of twice the log-likelihood within which heavier tails are considered
+MIN_TAIL_VALUES = 60  # least number of values for a tail
 TINY = 1e-12  # standard deviations: below it residuals are rounding
-TOGETHER = 1.06  # by which three values of a heavy tail are longer together than the largest of them
+TOGETHER = 1.06  # ratio of the norm of three heavy-tailed values to the largest of them
 
 
 def outlier(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
-    """Return one fault with all rows whose errors exceed what the noise of the others can produce, to be excluded."""
+    """Return one fault with all rows whose errors exceed the limit by the others' noise, to be excluded."""
     fit, used = reference.fit, data.train | data.held_out
     error = data.position - fit.predicted(data.conditions)
     if not (used & (reference.miss > fit.gross)).any():
         return ()
     off = used & (reference.miss > limit_of(reference.miss[used], fit.scale, fit.gross))
-    off &= ~off_together(data, error, off)
-    if not 0 < off.sum() <= MAX_OUTLIER_SHARE * used.sum() or _of_a_joint(data, fit, error, np.flatnonzero(off)):
+    off &= ~clustered(data, error, off)
+    if not 0 < off.sum() <= MAX_OUTLIER_SHARE * used.sum() or _along_one_joint(data, fit, error, np.flatnonzero(off)):
         return ()
     usual = float(np.median(reference.miss[used]))
-    return (_left_out(data, off, "the position in LINES", np.linalg.norm(error[off], axis=1), usual, METRE),)
+    return (_excluded(data, off, "the position in LINES", np.linalg.norm(error[off], axis=1), usual, METRE),)
 
 
 def limit_of(miss: np.ndarray, scale: float, gross: float) -> float:
     """Return the error [m] beyond which a row is an outlier, for the errors (n_rows,) of all rows.
 
-    scale [m] is their robust standard deviation per axis, gross [m] what is gross.
+    scale [m]: their robust standard deviation per axis; gross [m]: the threshold of gross errors.
     """
     usual = np.quantile(miss[miss < gross], TAIL_QUANTILE) if (miss < gross).any() else scale
-    largest = -scipy.special.stdtrit(DEGREES, FALSE / (6 * len(miss)))  # of three axes, to both sides
+    largest = -scipy.special.stdtrit(DEGREES, FALSE_ALARM / (6 * len(miss)))  # three axes, two-sided
     return max(gross, float(usual / TAIL_LENGTH * largest))
 
 
-def off_together(data: Measurements, error: np.ndarray, off: np.ndarray) -> np.ndarray:
-    """Return the rows that are off together with others: of one payload or marker, or in a row and the same way."""
+def clustered(data: Measurements, error: np.ndarray, off: np.ndarray) -> np.ndarray:
+    """Return the outliers that form a cluster: of one payload or marker, or consecutive and in one direction."""
     groups = np.zeros(len(off), dtype=bool)
     for label in ("payload", "marker"):
         share = data.table.assign(off=off).groupby(label)["off"].transform("mean").to_numpy()
@@ -97,8 +107,8 @@ def off_together(data: Measurements, error: np.ndarray, off: np.ndarray) -> np.n
     return groups
 
 
-def _of_a_joint(data: Measurements, fit: Rough, error: np.ndarray, rows: np.ndarray) -> bool:
-    """Whether nearly all these rows err in the direction in which one and the same joint moves the tool."""
+def _along_one_joint(data: Measurements, fit: RobustFit, error: np.ndarray, rows: np.ndarray) -> bool:
+    """Return whether nearly all these rows have errors in the direction of motion of one joint."""
     if len(data.table["pose"].iloc[rows].unique()) < RUN:
         return False
     wrong = error[rows] / np.linalg.norm(error[rows], axis=1, keepdims=True)
@@ -116,7 +126,7 @@ def is_position(data: Measurements) -> np.ndarray:
 
 
 def gross_rows(data: Measurements, which: np.ndarray) -> tuple[Fault, ...]:
-    """Return the outliers among some rows (n_rows,), a fault a series, which a robust fit of all training rows leaves far off."""
+    """Return the outliers among some rows (n_rows,) by a robust fit of all training rows, one fault per series."""
     train = data.only(data.train)
     robot, observed = registered(data.robot, observations(train), train)
     here, train = data.on(robot), train.on(robot)
@@ -144,16 +154,16 @@ def gross_rows(data: Measurements, which: np.ndarray) -> tuple[Fault, ...]:
         if gross.any() and gross.sum() <= MAX_OUTLIER_SHARE * rows.sum():
             of_series = f" of measurements {data.series[k].name or k + 1}" if len(data.series) > 1 else ""
             what = f"what was measured in LINES{of_series}"
-            faults.append(_left_out(data, gross, what, far[gross], float(np.median(far[rows & ~gross])), unit))
+            faults.append(_excluded(data, gross, what, far[gross], float(np.median(far[rows & ~gross])), unit))
     return tuple(faults)
 
 
 def _flipped_images(
     data: Measurements, gross: np.ndarray, far: np.ndarray, miss: Callable[[Measurements], np.ndarray]
 ) -> tuple[Fault, ...]:
-    """Return a fault for each way in which whole images are counted that are far off, and are not where counted otherwise.
+    """Return a fault for each numbering of points that explains whole images with gross errors.
 
-    gross (n_rows,) says which rows are, far (n_rows,) by how much [px]; miss returns that of other rows.
+    gross (n_rows,): which rows have these; far (n_rows,): their errors [px]; miss: returns the errors of other data.
     """
     if not (data.in_images and {*chain.from_iterable(FLIPS.values())} <= {*data.table}):
         return ()
@@ -170,30 +180,30 @@ def _flipped_images(
         off &= ~mended
         if len(rows):
             statement = (
-                f"the target's points are counted {how} in {mended.sum()} image{'s' if mended.sum() > 1 else ''} "
-                "(LINES); left out, number them as in the others"
+                f"the target's points are numbered {how} in {mended.sum()} image{'s' if mended.sum() > 1 else ''} "
+                "(LINES); left out; number them as in the others"
             )
             faults.append(fault(FLIPPED, data, 0, [Correction(int(row) + 1) for row in rows], "left out", statement))
     return tuple(faults)
 
 
-def _left_out(
+def _excluded(
     data: Measurements, off: np.ndarray, what: str, far: np.ndarray, usual: float, unit: MeasurementUnit
 ) -> Fault:
-    """Return the fault that what stands in some rows (n_rows,) is far (n_off,) from what all others say, where usual is less."""
+    """Return the fault of rows off (n_rows,) with errors far (n_off,), given the usual error."""
     statement = (
-        f"{what} is {_span(unit.shown(far))} {unit.label} from what all other rows say, which miss by "
-        f"{unit.words(usual, '.2g')}; left out, measure again or correct the file"
+        f"{what} is {_range(unit.shown(far))} {unit.label} off from the fit of all other rows, whose median error is "
+        f"{unit.words(usual, '.2g')}; left out; measure again or correct the file"
     )
     return fault("outlier", data, 0, [Correction(int(row) + 1) for row in np.flatnonzero(off)], "left out", statement)
 
 
 def limit_of_length(values: np.ndarray) -> float:
-    """Return the length that a row of independent residuals exceeds in fewer than one of 300 data sets; infinite where no row does.
+    """Return the limit of the norm of a row of residuals for outliers; infinite if no row exceeds it.
 
-    values (n_rows, size) are the studentised residuals of good and bad rows. The longest rows are held against the tail of all
-    others, Student's t with as few degrees of freedom as these allow; as many rows at once as stand out by a gap, so that bad
-    rows neither hide each other nor make the tail heavy.
+    values (n_rows, size): studentised residuals of all rows. A false alarm occurs in fewer than one of 300 data sets.
+    The longest rows are tested against the tail of the others, Student's t with as few degrees of freedom as these
+    allow; all rows above a gap at once, so that outliers neither mask each other nor make the tail heavy.
     """
     n_rows, size = values.shape
     if values.size < MIN_TAIL_VALUES:
@@ -210,7 +220,7 @@ def limit_of_length(values: np.ndarray) -> float:
 
 
 def _limit(good: np.ndarray, size: int, rows: int) -> float:
-    """Return the limit by the tail of the sorted sizes (n,) of values, size of which make each of so many rows."""
+    """Return the limit for so many rows of size values each, by the tail of the good values' sorted magnitudes (n,)."""
     fitted = [_fitted(good, degrees) for degrees in TAIL_DEGREES]
     best = min(cost for cost, _ in fitted)
     degrees, scale = next(
@@ -218,7 +228,7 @@ def _limit(good: np.ndarray, size: int, rows: int) -> float:
         for degrees, (cost, scale) in zip(TAIL_DEGREES, fitted, strict=True)
         if 2 * (cost - best) <= DOUBT
     )
-    chance = FALSE_ODD_ROW / rows
+    chance = ODD_ROW_FALSE_ALARM / rows
     alone = (
         scipy.stats.t.isf(chance / (2 * size), degrees)
         if degrees < TAIL_DEGREES[-1]
@@ -228,7 +238,7 @@ def _limit(good: np.ndarray, size: int, rows: int) -> float:
 
 
 def _fitted(good: np.ndarray, degrees: float) -> tuple[float, float]:
-    """Return minus the log-likelihood and the scale of Student's t for sorted sizes (n,)."""
+    """Return minus the log-likelihood and the scale of Student's t fitted to sorted magnitudes (n,)."""
 
     def cost(log_scale: float) -> float:
         inside = len(good) * (constant - log_scale)
@@ -245,10 +255,10 @@ def _fitted(good: np.ndarray, degrees: float) -> tuple[float, float]:
 
 
 def odd_rows(result: Fit, data: Measurements, studentised: Studentised) -> tuple[np.ndarray, tuple[Fault, ...]]:
-    """Return which rows (n_rows,) are outliers by the final model, and the fault that says so, by its lines.
+    """Return which rows (n_rows,) are outliers against the final model, and their fault.
 
-    The limit is by the residuals' own tail. Rows that are off together (a payload, a marker, poses in a row the same way) are no
-    outliers. They are told, not left out: the fit has given them little weight, and accuracy counts them.
+    The limit follows from the tail of the residuals; clusters (see `clustered`) are not outliers. The rows are reported,
+    not excluded: their weight in the fit is small, and accuracy includes them.
     """
     used = data.train | data.held_out
     odd = np.zeros(len(data), dtype=bool)
@@ -258,20 +268,20 @@ def odd_rows(result: Fit, data: Measurements, studentised: Studentised) -> tuple
         values = studentised.values[alike]
         odd[alike] = length[alike] > limit_of_length(values[~np.isnan(values)].reshape(-1, int(size)))
     error = leading_errors(result.model, result.estimate, data)
-    odd &= ~off_together(data, np.nan_to_num(error), odd)
+    odd &= ~clustered(data, np.nan_to_num(error), odd)
     if not 0 < odd.sum() <= MAX_OUTLIER_SHARE * used.sum():
         return np.zeros(len(data), dtype=bool), ()
     far, times = distances(error), studentised.whitened[odd]
     leading = np.array([observation.units[0] for observation in result.model.observations])[data.series_number]
-    off = [f"{_span(unit.shown(far[odd & (leading == unit)]))} {unit.label}" for unit in dict.fromkeys(leading[odd])]
+    off = [f"{_range(unit.shown(far[odd & (leading == unit)]))} {unit.label}" for unit in dict.fromkeys(leading[odd])]
     statement = (
-        f"the measured values in LINES do not fit the final model: off by {' or '.join(off)}, {_span(times, 2)} times the "
-        "expected; they hardly count in the fit, and count in the accuracy: measure again"
+        f"the measured values in LINES do not fit the final model: off by {' or '.join(off)}, {_range(times, 2)} times the "
+        "expected; they have little weight in the fit, but count in the accuracy: measure again"
     )
     corrections = [Correction(int(row) + 1) for row in np.flatnonzero(odd)]
     return odd, (fault("outlier", data, 0, corrections, "told", statement),)
 
 
-def _span(values: np.ndarray, digits: int = 3) -> str:
-    """Say from where to where values (n,) go."""
+def _range(values: np.ndarray, digits: int = 3) -> str:
+    """Return the range of values (n,) in words."""
     return " to ".join(dict.fromkeys(rounded(float(end), digits) for end in (values.min(), values.max())))

@@ -1,4 +1,4 @@
-"""The reference for faults of rows: the rough robot of a set-up, and how far each row is from it."""
+"""The reference for faults of rows: the robust fit of a set-up, and each row's error against it."""
 
 from __future__ import annotations
 
@@ -8,57 +8,57 @@ from functools import cached_property
 import numpy as np
 
 from calflow.estimation.noise import conditions
-from calflow.faults.rough import Rough, lengths
-from calflow.faults.setup import ExplainedSetup, Setup
+from calflow.faults.rough import RobustFit, lengths
+from calflow.faults.setup import FittedSetup, Setup
 from calflow.measurements.measurements import Measurements
 
-FAR_OFF = 0.01  # share of the measured space from which a robust fit's scale says that it found no robot at all
-EQUATIONS = 2.4  # a parameter: with fewer some rows are met exactly whatever they hold, and others look gross
+FAR_OFF = 0.01  # share of the measured space: a robust fit with a larger scale has failed
+EQUATIONS = 2.4  # least equations per parameter: with fewer, some rows are fitted exactly and others look gross
 
 
 @dataclass(frozen=True)
 class Reference:
-    """What the rows of a data set say of one another; setup is theirs with all that may move, explained that of which it is."""
+    """A robust fit to the rows of a data set; setup: theirs with all parameters, fitted: that of the fit."""
 
     data: Measurements
     setup: Setup
-    explained: ExplainedSetup
+    fitted: FittedSetup
 
     @staticmethod
     def of(data: Measurements, setup: Setup | None = None) -> Reference | None:
-        """Fit the richest robot that the training rows are enough for, None where there is only a handful.
+        """Return the fit of the richest model that the training rows determine; None if they are too few for any.
 
-        setup is that of these rows, and need not be built again.
+        setup: that of these rows, if built already.
         """
         setup = setup or Setup.of(data)
         equations = 3 * len(np.unique(conditions(data.only(data.train))))
         for candidate in (setup, setup.without_springs, setup.rigid):
-            if EQUATIONS * (candidate.expected.sd > 0).sum() <= equations:
-                return Reference(data, setup, candidate.explained)
+            if EQUATIONS * (candidate.prior.sd > 0).sum() <= equations:
+                return Reference(data, setup, candidate.fitted)
         return None
 
     @property
-    def fit(self) -> Rough:
-        """The rough robot."""
-        return self.explained.fit
+    def fit(self) -> RobustFit:
+        """The robust fit."""
+        return self.fitted.fit
 
     @cached_property
     def spread(self) -> float:
         """The size of the measured space [m]."""
-        position = self.explained.setup.position
+        position = self.fitted.setup.position
         return float(np.median(lengths(position - np.median(position, axis=0))))
 
     @property
     def plausible(self) -> bool:
-        """Whether the fit found a robot at all."""
+        """Whether the fit succeeded."""
         return self.fit.scale < FAR_OFF * self.spread
 
     @cached_property
     def miss(self) -> np.ndarray:
-        """How far each row is from where the fit says it should be, shape (n_rows,) [m]."""
+        """The position error of each row, shape (n_rows,) [m] (see `RobustFit.miss`)."""
         return self.fit.miss(self.data)
 
     @cached_property
     def gross(self) -> np.ndarray:
-        """Which rows are gross, shape (n_rows,)."""
+        """Which rows have gross errors, shape (n_rows,)."""
         return self.miss > self.fit.gross

@@ -1,4 +1,4 @@
-"""A rough fit: a robot, or a rigid motion, that explains positions so that wrong rows hardly count."""
+"""Robust fits of a robot, or of a rigid motion, to positions, with little weight of outliers."""
 
 from __future__ import annotations
 
@@ -9,43 +9,38 @@ import numpy as np
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 
-PLACED_SD = 0.5  # m and rad: where base and tool are is left to the data
-NORMAL_LENGTH = 1.5382  # median length of a vector of three unit normals
-WIDTH = 2.5  # robust standard deviations at which a row counts half
-LINEARISED, REWEIGHTED = 12, 8  # rounds of the fit, and in each of the weights
-BLOCK = 60  # equations that are multiplied at once
-SETTLED = 0.02  # standard deviations by which the last round moves a row
+PLACED_SD = 0.5  # m and rad: prior of base and tool, practically none
+NORMAL_LENGTH = 1.5382  # median length of a vector of three standard normals
+WIDTH = 2.5  # robust standard deviations at which a row has half weight
+LINEARISED, REWEIGHTED = 12, 8  # linearisations, and reweightings in each
+BLOCK = 60  # equations in a block of matrix products
+SETTLED = 0.02  # largest motion of a row in the last round, in standard deviations
 TINY = 1e-9  # m: below it errors are rounding
-OPEN_LOOP_ERROR = 1e3  # m: where a loop cannot be closed
+OPEN_LOOP_ERROR = 1e3  # m: counted where a loop cannot be closed
 
-# Errors are told apart by robust standard deviations of the training rows (1.48 median deviations, for three axes). Normal
-# noise passes 6 in no data set, Student's t with 3 degrees of freedom passes 15 in one row of a thousand. A row may be
-# mended at 15, since then a definite mistake must also bring it back among the others; see outlier.py for rows that
-# nothing explains. What is gross is more than a robot's physics does to single rows, so at least half a millimetre.
+# Gross errors, in robust standard deviations of the training rows. Normal noise exceeds 6 in no data set, Student's t with
+# 3 degrees of freedom exceeds 15 in one row of a thousand. At 15 a row may be corrected, since a definite mistake must
+# also explain it; see outlier.py for unexplained rows. At least half a millimetre: more than unmodelled physics.
 GROSS, LEAST_GROSS = 15.0, 5e-4
-# What a robot's physics leaves of any fit [m]; where rows are few, a fit may leave nothing.
+# Least scale [m], of unmodelled physics: a fit to few rows may leave no residuals.
 LEAST_SCALE = LEAST_GROSS / GROSS
-FAR_BETTER = 5.0  # times by which a mistake, once put right, must lessen a row's error
+FAR_BETTER = 5.0  # factor by which the correction of a mistake must reduce a row's error
 
 
 @dataclass(frozen=True)
-class Expectation:
-    """Where a robot's parameters are expected before it is measured: mean and standard deviation, each (n_parameters,), in SI.
-
-    A parameter whose standard deviation is zero stays at its mean.
-    """
+class Prior:
+    """The prior of a robot's parameters: mean and standard deviation (0: fixed), each (n_parameters,), in SI."""
 
     mean: np.ndarray
     sd: np.ndarray
 
 
 @dataclass(frozen=True)
-class Rough:
-    """A robust fit: scale is the robust standard deviation per axis [m] of the rows it was fitted to.
+class RobustFit:
+    """A robust fit, with the robust standard deviation per axis [m] of the fitted rows (scale).
 
-    covariance (n_parameters, n_parameters) is that of the estimate for errors of that scale, and volume the logarithm of the
-    share of what is expected that the data leave; turn (3, 3) and shift (3,) take points from the robot's base to the measuring
-    frame.
+    covariance (n_parameters, n_parameters): of the estimate, for errors of that scale; volume: logarithm of posterior
+    over prior volume; turn (3, 3), shift (3,): from the robot's base to the measuring frame.
     """
 
     model: Model
@@ -55,39 +50,36 @@ class Rough:
     scale: float
     turn: np.ndarray
     shift: np.ndarray
-    expected: Expectation
+    prior: Prior
 
     @property
     def gross(self) -> float:
-        """The error [m] from which a row is gross."""
+        """The threshold of gross errors [m]."""
         return GROSS * self.scale
 
     @property
     def deviations(self) -> np.ndarray:
-        """How far each parameter is from where it is expected, in standard deviations, shape (n_parameters,)."""
-        sd = self.expected.sd  # 0 of what cannot deviate
-        return np.divide(self.estimate - self.expected.mean, sd, out=np.zeros(len(sd)), where=sd > 0)
+        """The deviation of each parameter from its prior mean, in standard deviations, shape (n_parameters,)."""
+        sd = self.prior.sd
+        return np.divide(self.estimate - self.prior.mean, sd, out=np.zeros(len(sd)), where=sd > 0)
 
     @property
     def deviation(self) -> float:
-        """How far the robot is from its nominal: its parameters' squares in standard deviations."""
+        """The sum of squared deviations: how far the robot is from its nominal."""
         return float((self.deviations**2).sum())
 
     def predicted(self, conditions: np.ndarray) -> np.ndarray:
-        """Return positions (n_rows, 3) [m] for packed conditions; nan where a loop cannot be closed."""
+        """Return positions (n_rows, 3) [m] for packed conditions; nan if a loop cannot be closed."""
         return self.model.position(self.estimate, conditions) @ self.turn.T + self.shift
 
     def moved(self, conditions: np.ndarray, joint: int, by: float) -> np.ndarray:
-        """Return how far a step of a joint (from 0) [rad or m] moves positions (n_rows, 3) [m]."""
+        """Return the displacement (n_rows, 3) [m] of positions by a step of a joint (from 0) [rad or m]."""
         stepped = conditions.copy()
         stepped[joint] += by
         return self.predicted(stepped) - self.predicted(conditions)
 
     def miss(self, data: Measurements) -> np.ndarray:
-        """Return how far each row's position is from where the others say it should be, shape (n_rows,) [m].
-
-        A gross row counts less where the fit itself is unsure, as it is far from the rows that were fitted.
-        """
+        """Return each row's position error [m], shape (n_rows,); gross ones scaled by the uncertainty of prediction."""
         miss = lengths(data.position - self.predicted(data.conditions))
         far = np.isfinite(miss) & (miss > self.gross)
         if far.any():
@@ -97,36 +89,36 @@ class Rough:
         return miss
 
     def better(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
-        """Whether errors (…) [m] fall from gross to what the other rows have."""
+        """Return whether gross errors (…) [m] fall to the level of other rows."""
         return (before > self.gross) & (after < np.minimum(self.gross, before / FAR_BETTER))
 
 
-def rough(
+def robust_fit(
     model: Model,
     conditions: np.ndarray,
     position: np.ndarray,
     turn: np.ndarray,
     shift: np.ndarray,
-    expected: Expectation,
+    prior: Prior,
     start: np.ndarray,
-) -> Rough:
-    """Fit a model to positions (n_rows, 3) by least squares in which wrong rows weigh little (Cauchy).
+) -> RobustFit:
+    """Return the robust fit of a model to positions (n_rows, 3): iteratively reweighted least squares, Cauchy weights.
 
-    The robot's base is near where turn and shift say. The noise is the scale of the errors themselves, taken anew with the
-    weights; the model is linearised until it settles, from start. A spring that would push is held at none, until it would pull.
+    turn, shift: the approximate base; start: initial parameters. The noise is the scale of the residuals, updated with
+    the weights. A compliance is kept non-negative by an active set.
     """
     measured = (position - shift) @ turn
-    mean, prior, estimate = expected.mean, expected.sd, start
+    mean, sd, estimate = prior.mean, prior.sd, start
     least = np.where(model.bounds[:, 0] == model.nominal, mean, -np.inf)
-    every = np.flatnonzero(prior)
+    every = np.flatnonzero(sd)
     free = np.ones(len(every), dtype=bool)
     for _ in range(LINEARISED):
         position, jacobian = model.position_and_jacobian(estimate, conditions)
         left = measured - position
         there = np.isfinite(left).all(axis=1) & np.isfinite(jacobian).all(axis=(1, 2))
         jacobian, left = jacobian[there], left[there]
-        scaled = _blocks((jacobian[:, :, every] * prior[every]).reshape(left.size, len(every)))
-        aside, scale, error = (mean - estimate)[every] / prior[every], _scale(left, 0.0), left
+        scaled = _blocks((jacobian[:, :, every] * sd[every]).reshape(left.size, len(every)))
+        aside, scale, error = (mean - estimate)[every] / sd[every], _scale(left, 0.0), left
         step, acting = np.zeros(len(every)), free
         moving = np.ix_(acting, acting)
         for _ in range(REWEIGHTED):
@@ -140,7 +132,7 @@ def rough(
             error = left - moved
             scale = _scale(error, np.trace(np.linalg.solve(information[moving], data_only[moving])) / left.size)
         estimate = estimate.copy()
-        estimate[every] += step * prior[every]
+        estimate[every] += step * sd[every]
         pushed = estimate < least
         estimate = np.where(pushed, least, estimate)
         settled = np.abs(moved).max(initial=0.0) < SETTLED * scale
@@ -148,18 +140,18 @@ def rough(
         if settled and not changed.any():
             break
         free = acting ^ changed
-    covariance = np.zeros((len(prior), len(prior)))
+    covariance = np.zeros((len(sd), len(sd)))
     fitted = every[acting]
-    covariance[np.ix_(fitted, fitted)] = np.linalg.inv(information[moving]) * np.outer(prior[fitted], prior[fitted])
-    # A spring that is held was as free before the data as one that pulls: they tell as much of it.
+    covariance[np.ix_(fitted, fitted)] = np.linalg.inv(information[moving]) * np.outer(sd[fitted], sd[fitted])
+    # A compliance held at zero was free in the prior, too: the data determine it as well.
     volume = -float(np.linalg.slogdet(information)[1]) / 2
-    return Rough(model, estimate, covariance, volume, scale, turn, shift, expected)
+    return RobustFit(model, estimate, covariance, volume, scale, turn, shift, prior)
 
 
 def motion(points: np.ndarray, measured: np.ndarray, rounds: int = 12) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return turn (…, 3, 3), shift (…, 3) and errors (…, n_rows) of the rigid motion from points (…, n_rows, 3) to measured.
 
-    Kabsch's (1976), with weights that make far rows count little; points that are not a number do not count.
+    Kabsch (1976) with Cauchy weights; points that are not a number have none.
     """
     there = np.isfinite(points).all(axis=-1)
     points = np.where(there[..., None], points, 0.0)
@@ -179,7 +171,7 @@ def motion(points: np.ndarray, measured: np.ndarray, rounds: int = 12) -> tuple[
 
 
 def best_turn(correlation: np.ndarray) -> np.ndarray:
-    """Return the rotations (…, 3, 3) that make the trace of turnᵀ correlation largest."""
+    """Return the rotations (…, 3, 3) that maximise the trace of turnᵀ correlation."""
     u, _, v = np.linalg.svd(correlation)
     u = u.copy()
     u[..., :, 2] *= np.sign(np.linalg.det(u @ v))[..., None]
@@ -187,7 +179,7 @@ def best_turn(correlation: np.ndarray) -> np.ndarray:
 
 
 def rigid_sums(points: np.ndarray, measured: np.ndarray) -> np.ndarray:
-    """Return each row's part (n_rows, 17) of the sums that a rigid motion follows from: 1, p, m, p², m², m pᵀ."""
+    """Return each row's terms (n_rows, 18) of the sums that determine a rigid motion: 1, p, m, p², m², m pᵀ."""
     there = np.isfinite(points).all(axis=1, keepdims=True)
     p = np.where(there, points, 0.0)
     m = np.where(there, measured, 0.0)
@@ -196,7 +188,7 @@ def rigid_sums(points: np.ndarray, measured: np.ndarray) -> np.ndarray:
 
 
 def rigid_errors(sums: np.ndarray) -> np.ndarray:
-    """Return the mean square error (…) [m²] that the best rigid motion leaves, from sums (…, 18)."""
+    """Return the mean square error (…) [m²] of the best rigid motion, from sums (…, 18)."""
     n = np.maximum(sums[..., 0], 1.0)
     p, m = sums[..., 1:4] / n[..., None], sums[..., 4:7] / n[..., None]
     correlation = sums[..., 9:].reshape(*sums.shape[:-1], 3, 3) / n[..., None, None] - m[..., :, None] * p[..., None, :]
@@ -205,10 +197,10 @@ def rigid_errors(sums: np.ndarray) -> np.ndarray:
     return np.where(sums[..., 0] > 3, np.maximum(spread - 2 * gained, 0.0), np.inf)
 
 
-def otherwise(plain: np.ndarray, other: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the mean square errors (n,) [m²] of the best rigid motion if all up to a row, or all after it, are otherwise.
+def split_errors(plain: np.ndarray, other: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the mean square errors (n,) [m²] of the best rigid motion if rows up to one, or after it, are replaced.
 
-    plain and other (n_rows, 18) are each row's part of the sums as it is and otherwise; rows (n,) are those that are tried.
+    plain, other (n_rows, 18): each row's terms of the sums as it is and replaced; rows (n,): the rows tried.
     """
     whole, changed = plain.sum(axis=0), np.cumsum(other - plain, axis=0)
     before, every = changed[rows], changed[-1]
@@ -216,19 +208,19 @@ def otherwise(plain: np.ndarray, other: np.ndarray, rows: np.ndarray) -> tuple[n
 
 
 def lengths(vectors: np.ndarray) -> np.ndarray:
-    """Return the lengths (…) of vectors (…, 3); infinite where one is not a number."""
+    """Return the lengths (…) of vectors (…, 3); infinite for nan."""
     return np.nan_to_num(np.sqrt((vectors**2).sum(axis=-1)), nan=np.inf)
 
 
 def level(error: np.ndarray) -> np.ndarray:
-    """Return the geometric mean of errors (…, n_rows): a few rows that are off show, and one alone does not decide."""
+    """Return the geometric mean of errors (…, n_rows): several outliers count, a single one does not decide."""
     return np.asarray(np.exp(np.log(np.minimum(error, OPEN_LOOP_ERROR) + TINY).mean(axis=-1)))
 
 
 def _blocks(rows: np.ndarray) -> np.ndarray:
-    """Return rows (n_rows, n) in blocks (n_blocks, BLOCK, n), filled up with zeros.
+    """Return rows (n_rows, n) in blocks (n_blocks, BLOCK, n), padded with zeros.
 
-    Products of blocks are too small to be shared among threads, which costs more than it gains where others compute too.
+    Products of blocks are too small for several threads, whose overhead would exceed the gain on a busy machine.
     """
     filled = np.zeros((-(-len(rows) // BLOCK) * BLOCK, rows.shape[1]))
     filled[: len(rows)] = rows
@@ -236,5 +228,5 @@ def _blocks(rows: np.ndarray) -> np.ndarray:
 
 
 def _scale(left: np.ndarray, determined: float) -> float:
-    """Return the robust standard deviation per axis; determined is the share of the equations that the fit used up."""
+    """Return the robust standard deviation per axis; determined: the share of degrees of freedom used by the fit."""
     return max(float(np.median(lengths(left))) / NORMAL_LENGTH / np.sqrt(max(1 - determined, 0.1)), LEAST_SCALE)

@@ -1,4 +1,4 @@
-"""Row misalignment: from some row on, positions stand a row too early or too late against the readings."""
+"""Row misalignment: from some row on, positions are shifted by rows against the readings."""
 
 from __future__ import annotations
 
@@ -9,29 +9,29 @@ import numpy as np
 
 from calflow.faults.base import Correction, Fault, correct, fault
 from calflow.faults.reference import Reference
-from calflow.faults.rough import Rough, motion, otherwise, rigid_errors, rigid_sums
+from calflow.faults.rough import RobustFit, motion, rigid_errors, rigid_sums, split_errors
 from calflow.faults.segments import state_cost, states
 from calflow.faults.setup import Setup
 from calflow.measurements.measurements import Measurements
 
-BEGINNINGS = 3000  # rows at which a shift may be guessed to begin; it is found to the row afterwards
-MIN_SHIFTED_ROWS = 3  # rows that are shifted at least
-CHANGE = 25.0  # what another shift costs: some two rows that are a metre off, so that two exchanged rows are none
-HALVED = 0.5  # a shift is worth a fit where it brings the nominal robot's error to this share
-MIN_IMPROVED_SHARE = 0.8  # share of the shifted rows that must be far better so
-BLOCK = 5  # poses in a row that are all far off: no robot does that
-FAR_ROW = 0.05  # share of the measured space by which such a row must miss
-MAX_BLOCK_SHARE = 1 / 3  # of the rows may be in such blocks
+BEGINNINGS = 3000  # largest number of rows tried as the beginning of a shift, which is refined afterwards
+MIN_SHIFTED_ROWS = 3  # least number of shifted rows
+CHANGE = 25.0  # cost of a change of shift: about two rows with errors of a metre, so that two exchanged rows are none
+HALVED = 0.5  # a shift is fitted if it reduces the nominal robot's error to this share
+MIN_IMPROVED_SHARE = 0.8  # least share of the shifted rows that must become far better
+BLOCK = 5  # consecutive poses with large errors, which no robot has
+FAR_ROW = 0.05  # least error of such a row, as a share of the measured space
+MAX_BLOCK_SHARE = 1 / 3  # largest share of rows in such blocks
 
 
 def row_misalignment(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
-    """Find the rows whose positions belong to the readings of a row nearby, realigned, and those left without a partner."""
+    """Return the faults of rows whose positions belong to other rows' readings, realigned, and of rows without a partner."""
     if reference.plausible and reference.gross.sum() < MIN_SHIFTED_ROWS:
         return ()
     lags = _lags(data)
-    guess = _guess(data, reference.explained.setup, lags)
+    guess = _initial_sources(data, reference.fitted.setup, lags)
     moved = None if guess is None else reduce(correct, _shifted(data, guess), data)
-    again = None if moved is None else Reference.of(moved, reference.explained.setup.on(moved))
+    again = None if moved is None else Reference.of(moved, reference.fitted.setup.on(moved))
     references = [other for other in (reference, again) if other and other.plausible]
     alignments = [alignment for other in references for alignment in _realigning(data, other.fit, lags)]
     if not alignments:
@@ -46,20 +46,20 @@ def _shifted(data: Measurements, source: np.ndarray) -> tuple[Fault, ...]:
     where = "too early" if by < 0 else "too late"
     rows = "a row" if abs(by) == 1 else f"{abs(int(by))} rows"
     statement = (
-        f"positions stand {rows} {where} against the readings (LINES): a row was lost or written twice where that "
-        "begins; they were put back to their readings, correct the file"
+        f"positions are {rows} {where} against the readings (LINES): a row was lost or written twice where that begins; "
+        "realigned in memory; correct the file, too"
     )
     corrections = [Correction(int(row) + 1, source=int(source[row]) + 1) for row in realigned]
     faults = [fault("row-misalignment", data, 0, corrections, "corrected", statement)]
     alone = np.flatnonzero(source < 0)
     if len(alone):
-        lost = "no position belongs to these readings (LINES), since positions stand in other rows; left out"
+        lost = "no position belongs to these readings (LINES), since positions are shifted; left out"
         faults.append(fault("row-misalignment", data, 0, [Correction(int(row) + 1) for row in alone], "left out", lost))
     return tuple(faults)
 
 
 def lost_rows(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
-    """Leave out blocks of rows whose positions belong to no readings: no motion of the device explains them either."""
+    """Return the fault of blocks of rows whose positions match no readings, and no motion of the device; to be left out."""
     fit = reference.fit
     if not reference.plausible:
         return ()
@@ -73,14 +73,14 @@ def lost_rows(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
     if not 0 < len(rows) <= MAX_BLOCK_SHARE * len(far):
         return ()
     statement = (
-        "positions and readings do not belong together (LINES), and no shift of the rows puts that right; left out, "
-        "see how these rows came into the file"
+        "positions and readings do not belong together (LINES), and no shift of the rows corrects that; left out; "
+        "check how these rows came into the file"
     )
     return (fault("row-misalignment", data, 0, [Correction(row + 1) for row in rows], "left out", statement),)
 
 
 def _lags(data: Measurements) -> list[int]:
-    """Return by how many rows positions may be shifted: one, one line of the file, one pose."""
+    """Return the possible shifts of positions in rows: one row, one line of the file, or one pose."""
     sizes = {1}
     for label in ("line", "pose"):
         counts = data.table.groupby(label, sort=False).size()
@@ -88,21 +88,24 @@ def _lags(data: Measurements) -> list[int]:
     return [lag for size in sorted(sizes) for lag in (size, -size)]
 
 
-def _realigning(data: Measurements, fit: Rough, lags: list[int]) -> Iterator[tuple[int, np.ndarray]]:
-    """Yield for each row of readings the row where its position stands (n_rows,), -1 where there is none.
+def _realigning(data: Measurements, fit: RobustFit, lags: list[int]) -> Iterator[tuple[int, np.ndarray]]:
+    """Yield the remaining number of gross rows, and the row of each reading's position (n_rows,), -1 if none.
 
-    Before it stands how many rows are gross all the same; nothing is yielded where shifted rows do not explain the data.
+    Nothing is yielded if shifted rows do not explain the data.
     """
     miss = fit.miss(data)
     if (miss > fit.gross).sum() < MIN_SHIFTED_ROWS:
         return
     predicted, position = fit.predicted(data.conditions), data.position
     costs = np.stack(
-        [state_cost(np.linalg.norm(position - _later(predicted, lag), axis=1), fit.scale) for lag in (0, *lags)]
+        [
+            state_cost(np.linalg.norm(position - _shifted_values(predicted, lag), axis=1), fit.scale)
+            for lag in (0, *lags)
+        ]
     )
-    source = _from_shifts(np.array([0, *lags])[states(costs, CHANGE)])
+    source = _sources(np.array([0, *lags])[states(costs, CHANGE)])
     partnered = np.flatnonzero((source != np.arange(len(data))) & (source >= 0))
-    misaligned = partnered[miss[partnered] > fit.gross]  # of repeats, a row late, only each pose's last is wrong
+    misaligned = partnered[miss[partnered] > fit.gross]  # repeats shifted by a row are wrong only at each pose's last
     if len(misaligned) < MIN_SHIFTED_ROWS:
         return
     after = fit.miss(reduce(correct, _shifted(data, source), data))
@@ -111,31 +114,31 @@ def _realigning(data: Measurements, fit: Rough, lags: list[int]) -> Iterator[tup
         yield int((after > fit.gross).sum()), source
 
 
-def _from_shifts(lag: np.ndarray) -> np.ndarray:
-    """Turn "this position belongs to the readings so many rows later" (n_rows,) around; what is in its place stays."""
+def _sources(lag: np.ndarray) -> np.ndarray:
+    """Return the row of each reading's position (n_rows,), -1 if none, from each position's shift to its reading (n_rows,)."""
     n = len(lag)
     source = np.full(n, -1)
-    for row in np.argsort(lag == 0, kind="stable"):  # what is in its place comes last and wins
+    for row in np.argsort(lag == 0, kind="stable"):  # positions in place come last and win
         if 0 <= row + lag[row] < n:
             source[row + lag[row]] = row
     return source
 
 
-def _later(values: np.ndarray, lag: int) -> np.ndarray:
-    """Return values (n_rows, 3) of the row so many rows later; nan beyond the ends."""
+def _shifted_values(values: np.ndarray, lag: int) -> np.ndarray:
+    """Return values (n_rows, 3) shifted by a number of rows; nan beyond the ends."""
     shifted = np.full_like(values, np.nan)
     n = len(values)
     shifted[max(0, -lag) : min(n, n - lag)] = values[max(0, lag) : min(n, n + lag)]
     return shifted
 
 
-def _guess(data: Measurements, setup: Setup, lags: list[int]) -> np.ndarray | None:
-    """Return the sources where one shift, before or after one row, brings the nominal robot close to the positions.
+def _initial_sources(data: Measurements, setup: Setup, lags: list[int]) -> np.ndarray | None:
+    """Return the sources of one shift, before or after one row, that best aligns the nominal robot; None if poorly.
 
-    Every row is tried at once: the error of the best rigid motion follows from sums over the rows before and after it.
-    Held-out rows count too, but they say no more than which rows belong together.
+    All rows are tried at once: the error of the best rigid motion follows from sums over the rows before and after.
+    Held-out rows are used only to match rows.
     """
-    points, measured = setup.model.position(setup.expected.mean, data.conditions), data.position
+    points, measured = setup.model.position(setup.prior.mean, data.conditions), data.position
     middle = np.median(measured, axis=0)
     points, measured = points - np.nanmedian(points, axis=0), measured - middle
     plain = rigid_sums(points, measured)
@@ -143,8 +146,8 @@ def _guess(data: Measurements, setup: Setup, lags: list[int]) -> np.ndarray | No
     best, lag, every = whole, np.zeros(len(data), dtype=int), np.arange(len(data))
     tried = every[:: -(-len(data) // BEGINNINGS)]
     for by in lags:
-        for later, errors in enumerate(otherwise(plain, rigid_sums(_later(points, by), measured), tried)):
+        for later, errors in enumerate(split_errors(plain, rigid_sums(_shifted_values(points, by), measured), tried)):
             k = int(errors.argmin())
             if errors[k] < best:
                 best, lag = errors[k], np.where((every > tried[k]) == later, by, 0)
-    return _from_shifts(lag) if best < HALVED**2 * whole else None
+    return _sources(lag) if best < HALVED**2 * whole else None

@@ -1,9 +1,9 @@
-"""The set-up: robot file and table as a model reads them, and how well they explain what was measured.
+"""The set-up: robot file and table as input of a model, and its evidence given the measured positions.
 
-A mistake of the user is a change of the set-up: of the robot's figures, of which of these are free, or of the table. Each is
-weighed by the same number, the log-likelihood of the positions with the robot's parameters integrated (Laplace), within what
-robots really are off by, whatever a study allows. Errors count as Student's t, whose degrees of freedom are those of the fit's
-weights; a robust fit's scale is their size, and what robots do that this model lacks is part of it.
+A mistake of the user is a change of the set-up: of the robot's dimensions, of the free ones, or of the table. The
+evidence is the log marginal likelihood of the positions by Laplace's approximation, with priors of real robots' errors
+whatever a study allows. Errors have Student's t distribution of the robust fit's scale, including unmodelled physics,
+with the degrees of freedom of the fit's weights.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from calflow.effects.geometry import PLACED_SD as STATED_SD
 from calflow.effects.geometry import DimensionError, Geometry
 from calflow.effects.misstated_payload import PayloadMass
 from calflow.estimation.registration import marker_places, marker_shifts, with_markers
-from calflow.faults.rough import PLACED_SD, WIDTH, Expectation, Rough, lengths, level, motion, rough
+from calflow.faults.rough import PLACED_SD, WIDTH, Prior, RobustFit, lengths, level, motion, robust_fit
 from calflow.files.deferred import Rotation
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
@@ -29,20 +29,20 @@ from calflow.robot.mechanism import Row
 from calflow.robot.parts import Base, Parameter
 from calflow.robot.robot import Robot
 
-CLEARLY = 0.7  # times the size of errors below which they are less for a reason
-SUSPECT, SUSPECT_SCALE = 4.0, 1e-3  # standard deviations, and a scale [m], that no robot of its maker's figures has
-SINGLE = 0.05  # share of the rows that may be grossly off by themselves; of few poses a robust fit leaves out those that tell
-PHYSICS = 4e-5  # m: what causes that this model lacks leave of a good robot at least; a mistake is more
-ROWS = 400  # that set-ups are weighed by: more would hardly tell more
+CLEARLY = 0.7  # ratio of errors below which they are clearly smaller
+SUSPECT, SUSPECT_SCALE = 4.0, 1e-3  # deviation [sd] and scale [m] beyond those of any robot as stated by its maker
+SINGLE = 0.05  # share of rows that may be single outliers; with few poses a robust fit rejects informative ones
+PHYSICS = 4e-5  # m: least error of a good robot by unmodelled causes; a mistake exceeds it
+ROWS = 400  # largest number of rows for comparing set-ups
 
 
 @dataclass(frozen=True)
-class EveryFigure(Geometry):
-    """Every figure of a robot, those too whose errors others make up for: only what is expected of it says what may move."""
+class AllDimensions(Geometry):
+    """All dimensions of a robot, also those that are not identifiable; the prior decides which are free."""
 
     @cached_property
     def errors(self) -> tuple[DimensionError, ...]:
-        """The errors of all figures; of those that are no parameters of the geometry nothing is expected."""
+        """The errors of all dimensions; those that are no parameters of the geometry have no prior uncertainty."""
         free = {error.parameter.identity: error for error in super().errors}
         return tuple(free.values()) + tuple(
             error for error in _every_step(self.robot) if error.parameter.identity not in free
@@ -63,16 +63,16 @@ def _every_step(robot: Robot) -> list[DimensionError]:
 
 @dataclass(frozen=True)
 class Setup:
-    """Some rows as a model reads them: packed conditions (n_conditions, n_rows) and positions (n_rows, 3) [m].
+    """A model with a prior, and some rows: packed conditions (n_conditions, n_rows) and positions (n_rows, 3) [m].
 
-    numbers (n_rows,) are the rows' among all, from 0, poses how many poses they are of, and independent how many rows have errors
-    of their own: a robot's error in a pose has six degrees of freedom, as much as two markers show. turn (3, 3) and origin (3,)
-    are where the base is stated, None where nobody says; stated are the parameters (indices) of base and markers whose place is.
-    The positions are magnification times those of the table, every row's or each one's.
+    numbers (n_rows,): indices of the rows; poses: their number of poses; independent: number of rows with independent
+    errors (a pose error has six degrees of freedom, those of two markers). turn (3, 3), origin (3,): the stated base
+    pose, None if unknown; stated: indices of the parameters of stated base and marker positions. magnification: of the
+    positions against the table's, of all rows or each.
     """
 
     model: Model
-    expected: Expectation
+    prior: Prior
     stated: tuple[int, ...]
     conditions: np.ndarray
     position: np.ndarray
@@ -85,23 +85,23 @@ class Setup:
 
     @staticmethod
     def of(data: Measurements, *beside: Effect) -> Setup:
-        """Return the set-up as robot file and table state it, with some training rows; effects beside are of their usual size."""
+        """Return the set-up as stated by robot file and table, with some training rows, and with further effects."""
         base = data.robot.base
         turn = FrameOrigin(rpy=vector(-np.array(base.rotation))).rotation.T if base.known else None
         origin = np.array(base.origin) if base.known else None
         model = _model(with_markers(data.robot, data.only(data.train)), data.given, beside)
-        expected, stated = _expected(model, base.known)
-        return Setup(model, expected, stated, *_training_rows(data), turn, origin)
+        prior, stated = _prior(model, base.known)
+        return Setup(model, prior, stated, *_training_rows(data), turn, origin)
 
     def on(self, data: Measurements) -> Setup:
-        """Return the same with some training rows of other data of the robot."""
+        """Return the set-up with some training rows of other data of the robot."""
         conditions, position, numbers, poses, independent = _training_rows(data)
         return replace(
             self, conditions=conditions, position=position, numbers=numbers, poses=poses, independent=independent
         )
 
     def at(self, data: Measurements, rows: np.ndarray) -> Setup:
-        """Return the same with some rows of data (n_rows,), from 0, to see what it says of them."""
+        """Return the set-up with given rows (n_rows,) of data."""
         independent = round(self.independent * len(rows) / len(self.numbers))
         return replace(
             self,
@@ -112,56 +112,54 @@ class Setup:
         )
 
     def differs_from(self, other: Setup) -> np.ndarray:
-        """Return which rows (n_rows,) have other readings or loads than in another set-up with the same rows."""
+        """Return which rows (n_rows,) differ in readings or payload from another set-up with the same rows."""
         first_marker = Row.spans(self.model.robot)["marker"].start
         return np.asarray((self.conditions[:first_marker] != other.conditions[:first_marker]).any(axis=0))
 
     def with_reading(self, joint: int, reading: np.ndarray) -> Setup:
-        """Return it with other readings (n_rows,) of a joint (from 0)."""
+        """Return the set-up with other readings (n_rows,) of a joint (from 0)."""
         conditions = self.conditions.copy()
         conditions[joint] = reading
         return replace(self, conditions=conditions)
 
-    def with_figures(self, changes: dict[int, float]) -> Setup:
-        """Return it with other figures, by their parameter, added to what is stated."""
-        mean = self.expected.mean.copy()
+    def with_dimensions(self, changes: dict[int, float]) -> Setup:
+        """Return the set-up with changes added to dimensions, by parameter index."""
+        mean = self.prior.mean.copy()
         for k, change in changes.items():
             mean[k] += change
-        return replace(self, expected=Expectation(mean, self.expected.sd))
+        return replace(self, prior=Prior(mean, self.prior.sd))
 
     def freed(self, *figures: int) -> Setup:
-        """Return it with figures, by their parameter, that may be anything."""
-        sd = self.expected.sd.copy()
+        """Return the set-up with practically no prior on some dimensions (parameter indices)."""
+        sd = self.prior.sd.copy()
         sd[list(figures)] = PLACED_SD
-        return replace(
-            self, expected=Expectation(self.expected.mean, sd), stated=tuple(set(self.stated) - set(figures))
-        )
+        return replace(self, prior=Prior(self.prior.mean, sd), stated=tuple(set(self.stated) - set(figures)))
 
-    def by(self, robot: Robot) -> Setup:
-        """Return it with another robot of the same joints, loads and markers."""
+    def with_robot(self, robot: Robot) -> Setup:
+        """Return the set-up with another robot of the same joints, payloads and markers."""
         model = _model(robot, self.model.given)
-        expected, stated = _expected(model, self.turn is not None)
-        return replace(self, model=model, expected=expected, stated=stated)
+        prior, stated = _prior(model, self.turn is not None)
+        return replace(self, model=model, prior=prior, stated=stated)
 
     @property
     def restated(self) -> Setup:
-        """The same with its figures of the links stated by the robot file: springs act, and figures are free, by what it states.
+        """The set-up with its link dimensions written into the robot file, on which springs and priors depend.
 
-        Links that may be anything are stated where the rigid robot has them.
+        Link dimensions without prior get the values of the rigid fit.
         """
         links = {k: p for k, p in enumerate(self.model.parameters) if p.effect == Geometry.id and p.joint}
-        anything = {k for k in links if self.expected.sd[k] == PLACED_SD}
-        errors = self.rigid.explained.fit.estimate if anything else self.expected.mean
+        anything = {k for k in links if self.prior.sd[k] == PLACED_SD}
+        errors = self.rigid.fitted.fit.estimate if anything else self.prior.mean
         figures = {(p.joint, p.symbol): p.figure + errors[k] for k, p in links.items() if errors[k]}
         if not figures:
             return self
-        again = self.by(_with_figures(self.model.robot, figures))
+        again = self.with_robot(_with_dimensions(self.model.robot, figures))
         same = {p.identity: k for k, p in enumerate(again.model.parameters)}
         return again.freed(*(same[links[k].identity] for k in anything))
 
     @property
     def registered(self) -> Setup:
-        """The same with markers whose place nobody knows where the links, as stated, put them."""
+        """The set-up with markers of unknown position placed by the nominal links."""
         robot, numbers = self.model.robot, {p.identity: k for k, p in enumerate(self.model.parameters)}
         places = marker_places(robot)
         leading = {
@@ -172,74 +170,74 @@ class Setup:
         if not leading:
             return self
         nominal, first = self.points(), robot.n_joints + len(robot.payloads)
-        shifted = (self.with_figures({columns[k]: 1.0 for columns in leading.values()}) for k in range(3))
+        shifted = (self.with_dimensions({columns[k]: 1.0 for columns in leading.values()}) for k in range(3))
         turned = np.stack([setup.points() - nominal for setup in shifted], axis=-1)
         which = self.conditions[first : first + len(robot.markers)].argmax(axis=0)
         stands = None if self.turn is None else Rotation.from_matrix(self.turn)
         shifts = marker_shifts(places, which, self.position, nominal, turned, stands, self.origin)
-        return self.with_figures(
+        return self.with_dimensions(
             {k: shifts[place, axis] for place, columns in leading.items() for axis, k in enumerate(columns)}
         )
 
     @cached_property
     def rigid(self) -> Setup:
-        """The same robot with nothing to be fitted but where base and tool are, and what was freed."""
-        placed = self.expected.sd >= STATED_SD
-        return replace(self, expected=Expectation(self.expected.mean, np.where(placed, self.expected.sd, 0.0)))
+        """The set-up in which only base, tool and freed dimensions are fitted."""
+        placed = self.prior.sd >= STATED_SD
+        return replace(self, prior=Prior(self.prior.mean, np.where(placed, self.prior.sd, 0.0)))
 
     @property
     def without_springs(self) -> Setup:
-        """The same robot with joints that do not give way."""
+        """The set-up with rigid joints."""
         geometric = np.array([p.effect == Geometry.id for p in self.model.parameters])
-        return replace(self, expected=Expectation(self.expected.mean, np.where(geometric, self.expected.sd, 0.0)))
+        return replace(self, prior=Prior(self.prior.mean, np.where(geometric, self.prior.sd, 0.0)))
 
     def points(self) -> np.ndarray:
-        """Return where the markers are [m] in the base's frame, shape (n_rows, 3); nan where a loop cannot be closed."""
-        return self.model.position(self.expected.mean, self.conditions)
+        """Return the markers' nominal positions (n_rows, 3) [m] in the base frame; nan if a loop cannot be closed."""
+        return self.model.position(self.prior.mean, self.conditions)
 
     @cached_property
-    def explained(self) -> ExplainedSetup:
-        """The robot fitted, its base first."""
+    def fitted(self) -> FittedSetup:
+        """The robust fit, which starts from that of the base."""
         turn, shift, _ = motion(self.points(), self.position)
-        expected, start = self._expected(turn, shift), self.expected.mean
-        return ExplainedSetup(self, rough(self.model, self.conditions, self.position, turn, shift, expected, start))
+        prior, start = self._prior_near(turn, shift), self.prior.mean
+        return FittedSetup(self, robust_fit(self.model, self.conditions, self.position, turn, shift, prior, start))
 
     @property
     def base(self) -> list[int]:
-        """The parameters of the base: x, y, z and angles."""
+        """The parameter indices of the base: x, y, z and angles."""
         return [k for k, p in enumerate(self.model.parameters) if p.effect == Geometry.id and p.part == "base"]
 
-    def _expected(self, turn: np.ndarray, shift: np.ndarray) -> Expectation:
-        """Return what is expected of a robot that is near where turn (3, 3) and shift (3,) say."""
-        mean = self.expected.mean.copy()
+    def _prior_near(self, turn: np.ndarray, shift: np.ndarray) -> Prior:
+        """Return the prior relative to an approximate base pose, turn (3, 3) and shift (3,)."""
+        mean = self.prior.mean.copy()
         if self.turn is not None and self.origin is not None:
-            away = rpy_of(self.turn.T @ turn)  # of the inverse: a base's angles turn about x, y and z that turn along
+            away = rpy_of(self.turn.T @ turn)  # of the inverse: the base's angles are about moving axes
             mean[self.base] = np.r_[turn.T @ (self.origin - shift), -np.array(away)]
-        return Expectation(mean, self.expected.sd)
+        return Prior(mean, self.prior.sd)
 
 
 def _model(robot: Robot, given: tuple[str, ...], beside: tuple[Effect, ...] = ()) -> Model:
-    """Return the model of a robot whose base may be anywhere, with springs, loads and the effects beside."""
+    """Return the model of a robot with an unknown base, springs, payloads and further effects."""
     robot = replace(robot, base=Base(known=False), expected=())
     springs = [kind(robot) for kind in catalogue().values() if kind.springs(robot)]
     loads = [PayloadMass(robot)] if robot.has_masses and any(load.mass for load in robot.payloads.values()) else []
-    effects = (EveryFigure(robot), *loads, *springs, *(replace(effect, robot=robot) for effect in beside))
+    effects = (AllDimensions(robot), *loads, *springs, *(replace(effect, robot=robot) for effect in beside))
     return Model(robot, effects, given)
 
 
-def _expected(model: Model, known: bool) -> tuple[Expectation, tuple[int, ...]]:
-    """Return what is expected of a model, and which parameters are of places that somebody states, as its base is known."""
+def _prior(model: Model, known: bool) -> tuple[Prior, tuple[int, ...]]:
+    """Return the prior of a model, and the parameters of stated base and markers; known: whether the base is stated."""
     figures, markers = [k for k, p in enumerate(model.parameters) if p.effect == Geometry.id], model.robot.markers
     placed = [k for k in figures if model.parameters[k].part in ("base", *markers)]
     parts = {"base", *(name for name, marker in markers.items() if marker.known)} if known else {}
     stated = [k for k in placed if model.parameters[k].part in parts]
     sd = np.where([p.effect == PayloadMass.id for p in model.parameters], 0.0, model.prior_sd)
     sd[placed], sd[stated] = PLACED_SD, STATED_SD
-    return Expectation(model.prior_mean, sd), tuple(stated)
+    return Prior(model.prior_mean, sd), tuple(stated)
 
 
-def _with_figures(robot: Robot, figures: Mapping[tuple[int, str], float]) -> Robot:
-    """Return a robot with other figures of its links, by joint (from 1) and symbol."""
+def _with_dimensions(robot: Robot, figures: Mapping[tuple[int, str], float]) -> Robot:
+    """Return a robot with other link dimensions, by joint (from 1) and symbol."""
     joints = list(robot.joints)
     for (joint, symbol), value in figures.items():
         joints[joint - 1] = replace(joints[joint - 1], frame=joints[joint - 1].frame.restated({symbol: float(value)}))
@@ -247,9 +245,9 @@ def _with_figures(robot: Robot, figures: Mapping[tuple[int, str], float]) -> Rob
 
 
 def _training_rows(data: Measurements) -> tuple[np.ndarray, np.ndarray, np.ndarray, int, int]:
-    """Return conditions, positions, numbers, poses and independent rows of some training rows, as a set-up holds them.
+    """Return conditions, positions, numbers, poses and independent rows of some training rows, for a set-up.
 
-    They are chosen at random, since markers or payloads may take turns.
+    They are chosen at random, since markers or payloads may alternate.
     """
     chosen = np.zeros(len(data), dtype=bool)
     chosen[np.random.default_rng(0).permutation(np.flatnonzero(data.train))[:ROWS]] = True
@@ -259,21 +257,21 @@ def _training_rows(data: Measurements) -> tuple[np.ndarray, np.ndarray, np.ndarr
 
 
 @dataclass(frozen=True)
-class ExplainedSetup:
-    """A set-up with the robot that explains the positions best."""
+class FittedSetup:
+    """A set-up with its robust fit."""
 
     setup: Setup
-    fit: Rough
+    fit: RobustFit
 
     @cached_property
     def error(self) -> np.ndarray:
-        """How far each position of the table is from where the robot is, shape (n_rows,) [m]."""
+        """The position errors in units of the table, shape (n_rows,) [m]."""
         miss = lengths(self.setup.position - self.fit.predicted(self.setup.conditions))
         return miss / self.setup.magnification
 
     @cached_property
     def likelihood(self) -> float:
-        """The logarithm of the table's positions' probability density [1/m] about the fit, by so many rows as are independent."""
+        """The log likelihood of the table's positions at the fit, scaled to the number of independent rows."""
         if not np.isfinite(self.fit.estimate).all():
             return -np.inf
         scale, tail = np.hypot(self.fit.scale, PHYSICS) / self.setup.magnification, WIDTH**2
@@ -283,51 +281,51 @@ class ExplainedSetup:
 
     @property
     def suspicious(self) -> bool:
-        """Whether the robot is farther from what its maker says than robots are, or from more than single rows."""
-        deviation = np.abs(self.fit.deviations[self.fit.expected.sd < PLACED_SD]).max(initial=0.0)
+        """Whether parameters, scale or share of outliers exceed those of any robot as stated."""
+        deviation = np.abs(self.fit.deviations[self.fit.prior.sd < PLACED_SD]).max(initial=0.0)
         return bool(deviation > SUSPECT or self.fit.scale > SUSPECT_SCALE or self.gross > SINGLE)
 
     @property
     def gross(self) -> float:
-        """The share of the rows that are grossly off."""
+        """The share of rows with gross errors."""
         return float((self.error > self.fit.gross).mean())
 
     @property
     def evidence(self) -> float:
-        """The logarithm of the positions' probability density, the robot's parameters integrated."""
-        return self.likelihood + self.prior
+        """The log marginal likelihood of the positions."""
+        return self.likelihood + self.log_prior
 
-    def log_odds(self, other: ExplainedSetup) -> float:
-        """Return the logarithm of its odds against another.
+    def log_odds(self, other: FittedSetup) -> float:
+        """Return the log odds against another set-up.
 
-        That errors are hardly less speaks for nothing: those of the rows that it reads otherwise, or of all.
+        A higher likelihood does not count unless the errors, of the rows that differ if any, are clearly smaller.
         """
         gained, there = self.likelihood - other.likelihood, self.setup.differs_from(other.setup)
         rows = there if there.any() else ~there
         if gained > 0 and level(self.error[rows]) > CLEARLY * level(other.error[rows]):
             gained = 0.0
-        return gained + self.prior - other.prior
+        return gained + self.log_prior - other.log_prior
 
     @cached_property
-    def prior(self) -> float:
-        """The logarithm of the estimate's prior density times the volume that the data leave, about the same units."""
-        fit, sd = self.fit, self.fit.expected.sd
+    def log_prior(self) -> float:
+        """The log of the prior density at the estimate times the posterior volume (Occam factor)."""
+        fit, sd = self.fit, self.fit.prior.sd
         return float(fit.volume - (fit.deviations[(sd > 0) & (sd < PLACED_SD)] ** 2).sum() / 2)
 
     @property
-    def elsewhere(self) -> np.ndarray:
-        """How far base and markers are from where they are stated [m and rad]; of those that nobody states nothing."""
+    def displacements(self) -> np.ndarray:
+        """The displacements of stated base and markers [m and rad]."""
         return np.abs(self.fit.deviations[list(self.setup.stated)]) * STATED_SD
 
     @property
     def base(self) -> tuple[np.ndarray, np.ndarray]:
-        """Where the base is: turn (3, 3) and origin (3,) [m] in the measuring frame."""
+        """The base pose in the measuring frame: turn (3, 3) and origin (3,) [m]."""
         fit = self.fit
         small = {fit.model.parameters[k].symbol: fit.estimate[k] for k in self.setup.base}
         turn = fit.turn @ Rotation.from_euler("XYZ", [small["rx"], small["ry"], small["rz"]]).as_matrix()
         return turn, fit.turn @ np.array([small["x"], small["y"], small["z"]]) + fit.shift
 
     def figure(self, parameter: Parameter) -> float:
-        """Return a figure as the positions ask for it, in SI."""
+        """Return the estimated value of a dimension, in SI."""
         there = [p.identity for p in self.fit.model.parameters].index(parameter.identity)
         return float(self.fit.model.parameters[there].figure + self.fit.estimate[there])

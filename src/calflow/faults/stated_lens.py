@@ -1,8 +1,8 @@
-"""Stated lens: figures of a camera that its images contradict, whatever moves camera and target.
+"""Stated lens: stated intrinsic parameters of a camera that its images contradict.
 
-Each image may show its target anywhere: what no place of it explains, nor a target that is stretched or bowed, is the lens's
-(Zhang, IEEE Trans. PAMI 22, 2000). No robot imitates that, so that it is settled before anything is fitted to the robot: from
-there on the lens is found with the rest, as if it were not stated.
+With the pose of the target free in each image, and its shape stretched or bowed, the remaining errors are the lens's
+(Zhang, IEEE Trans. PAMI 22, 2000). No robot error imitates them, so this is settled before the robot is fitted: a wrong
+lens is then estimated as if it were not stated.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from calflow.observations.hand_eye import sighting
 from calflow.observations.hand_eye_methods import crossing
 from calflow.observations.lens import slopes
 
-FALSE = 1e-3  # chance that a lens that is as stated is called another
-OUTLIER_LIMIT = 5.0  # robust standard deviations: points further off tell nothing of a lens
-ROUNDS = 3  # rounds that find these points
-RANK_TOLERANCE = 1e-8  # of the largest singular value: images do not tell what they tell less of
-PLACE, SHAPE = 6, 6  # figures of a target's place, and of its stretch along x and y, skew and bow (see `OnTarget`)
+FALSE_ALARM = 1e-3  # probability of rejecting a lens that is as stated
+OUTLIER_LIMIT = 5.0  # robust standard deviations beyond which points are rejected
+ROUNDS = 3  # rounds of rejection
+RANK_TOLERANCE = 1e-8  # relative singular value below which a direction is unidentifiable
+POSE, SHAPE = 6, 6  # parameters of a target's pose, and of its stretch along x and y, skew and bow (see `OnTarget`)
 
 
 def stated_lens(data: Measurements) -> tuple[Fault, ...]:
-    """Find a lens that is stated and is not that of the images, which is found with the rest then: a fault a series."""
+    """Return one fault per series whose stated lens the images contradict; it is then estimated."""
     if not any(series.kind == Camera.id and series.setting("focal") for series in data.series):
         return ()
     train, faults = data.only(data.train), []
@@ -39,7 +39,7 @@ def stated_lens(data: Measurements) -> tuple[Fault, ...]:
             continue
         rows, eyes = train.table[train.of_series(k)], range(len(camera.cameras))
         lenses = [lens for eye in eyes if (lens := lens_by_images(camera, eye, rows))]
-        if lenses and (least := min(lenses, key=lambda lens: lens.chance)).chance * len(lenses) < FALSE:
+        if lenses and (least := min(lenses, key=lambda lens: lens.chance)).chance * len(lenses) < FALSE_ALARM:
             row = 1 + int(np.flatnonzero(data.of_series(k))[0]) if len(data.series) > 1 else 0
             stated = [name for name in LENS_SETTINGS if camera.series.setting(name) is not None]
             corrections = [Correction(row, name, 0.0) for name in stated]
@@ -49,11 +49,11 @@ def stated_lens(data: Measurements) -> tuple[Fault, ...]:
 
 
 @dataclass(frozen=True, eq=False)
-class LensByImages:
-    """What a camera's images say of its lens by themselves.
+class LensComparison:
+    """A camera's stated lens compared with its images.
 
-    deviation (n,) are its figures less those stated, chance that noise alone makes images contradict these as much, and stated_px
-    and free_px the root mean squares of what points are off with each, whatever the places of target and camera.
+    deviation (n,): estimated minus stated parameters; chance: p-value of the stated lens; stated_px, free_px: root mean
+    square errors of the points with the stated and with the estimated lens, poses of the target free.
     """
 
     camera: int
@@ -63,24 +63,24 @@ class LensByImages:
     free_px: float
 
     def words(self, camera: Camera, several: bool) -> str:
-        """Say what is wrong; several says whether other series are there."""
+        """Return the comparison in words; several: whether there are other series."""
         stated, name = camera.lens(self.camera).focal[0], camera.cameras[self.camera].name
         whose = (f" of camera {name}" if name else "") + (f" of measurements {camera.part}" if several else "")
         return (
-            f"the stated lens{whose} is not that of the images: wherever camera and target were, points are "
-            f"{self.stated_px:.3g} px (rms) from where it shows them, {self.free_px:.3g} px with another, whose focal length is "
-            f"about {stated + self.deviation[0]:.0f} px for {stated:.0f} px; it is found with the rest, state the right one or none"
+            f"the stated lens{whose} does not fit the images: for any pose of the target the points are off by "
+            f"{self.stated_px:.3g} px (rms), and by {self.free_px:.3g} px with a focal length of about "
+            f"{stated + self.deviation[0]:.0f} px instead of {stated:.0f} px; the lens is estimated; state the right one or none"
         )
 
 
-def lens_by_images(camera: Camera, eye: int, rows: pd.DataFrame) -> LensByImages | None:
-    """Return what a camera's images (at most IMAGES of its rows') say of its lens by themselves; None where that is nothing.
+def lens_by_images(camera: Camera, eye: int, rows: pd.DataFrame) -> LensComparison | None:
+    """Return the comparison of a camera's stated lens with its images (at most IMAGES); None if they do not determine it.
 
-    A lens that is as stated has errors of the standard deviations stated, one that nobody knows of its own.
+    The null hypothesis has errors of the stated standard deviations, the alternative those of an unknown lens.
     """
     own = rows[camera.reported(rows)[5 + eye] > 0]
     images = image_numbers(own)
-    views = [_of_image(camera, eye, own[images == image]) for image in spaced(np.unique(images), IMAGES)]
+    views = [_image_columns(camera, eye, own[images == image]) for image in spaced(np.unique(images), IMAGES)]
     seen = [view for view in views if view is not None]
     if not seen:
         return None
@@ -88,41 +88,43 @@ def lens_by_images(camera: Camera, eye: int, rows: pd.DataFrame) -> LensByImages
     number = np.repeat(np.arange(len(seen)), [len(view) for view in seen])
     near, n_shapes = np.ones(len(every), dtype=bool), SHAPE * len(camera.targets)
     for _ in range(ROUNDS):
-        left = np.concatenate([_beside(every[number == k], PLACE, near[number == k]) for k in range(len(seen))])
-        left = _beside(left, n_shapes, near)
+        left = np.concatenate(
+            [_residual_columns(every[number == k], POSE, near[number == k]) for k in range(len(seen))]
+        )
+        left = _residual_columns(left, n_shapes, near)
         slope, error = left[:, :-1], left[:, -1]
         step, _, rank, _ = np.linalg.lstsq(slope[near], -error[near], rcond=RANK_TOLERANCE)
         free = error + slope @ step
         near = np.abs(free) < OUTLIER_LIMIT * np.median(np.abs(free)) / scipy.stats.norm.ppf(0.75)
-    freedom = int(near.sum()) - PLACE * len(seen) - n_shapes - int(rank)
+    freedom = int(near.sum()) - POSE * len(seen) - n_shapes - int(rank)
     if freedom < 1:
         return None
     variance = float((free[near] ** 2).sum() / freedom)
     sd, unknown_sd = camera.lens_sd(eye), camera.lens_sd(eye, unknown=True)
     prior = (sd / unknown_sd) ** 2
     slope, error = slope[near], error[near]
-    told, gradient = slope.T @ slope / variance, slope.T @ error / variance
-    spread = told + told * prior @ told
+    information, gradient = slope.T @ slope / variance, slope.T @ error / variance
+    spread = information + information * prior @ information
     statistic = float(gradient @ np.linalg.pinv(spread, RANK_TOLERANCE, hermitian=True) @ gradient) / int(rank)
-    return LensByImages(
+    return LensComparison(
         eye,
-        -unknown_sd * np.linalg.solve(told + np.eye(len(prior)), gradient),
+        -unknown_sd * np.linalg.solve(information + np.eye(len(prior)), gradient),
         float(scipy.stats.f.sf(statistic, rank, freedom)),
         float(np.sqrt(2 * (error**2).sum() / (freedom + rank))),
         float(np.sqrt(2 * variance)),
     )
 
 
-def _beside(columns: np.ndarray, first: int, near: np.ndarray) -> np.ndarray:
-    """The further columns of (n, m) without what the first ones explain of the rows near (n,)."""
+def _residual_columns(columns: np.ndarray, first: int, near: np.ndarray) -> np.ndarray:
+    """Return the further columns of (n, m) with the first ones projected out, by the rows near (n,)."""
     explained = np.linalg.lstsq(columns[near, :first], columns[near, first:], rcond=RANK_TOLERANCE)[0]
     return np.asarray(columns[:, first:] - columns[:, :first] @ explained)
 
 
-def _of_image(camera: Camera, eye: int, rows: pd.DataFrame) -> np.ndarray | None:
-    """What the points of an image move by: its target's place, its targets' shapes, the lens (over what is not known of it).
+def _image_columns(camera: Camera, eye: int, rows: pd.DataFrame) -> np.ndarray | None:
+    """Return the Jacobian of an image's points by target pose, target shapes and lens (scaled by its prior), then the errors.
 
-    The last column is what they are off; (2 n_points, n_columns) [px]. None where they do not tell the target's place.
+    Shape (2 n_points, n_columns) [px]; None if the points do not determine the target's pose.
     """
     lens, which = camera.lens(eye), camera.reported(rows)
     image, points, target = which[:2].T, which[2:5].T, which[5 + len(camera.cameras) :, 0]

@@ -123,7 +123,7 @@ def _diagnosed_step(
     assert isinstance(identifying, IdentifySettings)
     data, faults = examined(data, study.measurement_paths)
     for fault in faults:
-        say(fault.said)
+        say(fault.summary)
     first = fit_effects(
         data, study.file.effects, starts=1, loss=identifying.loss, noise=identifying.noise, rng=rng,
         source=study.measurement_path,
