@@ -30,7 +30,7 @@ def lacks(small):
 
 def log_likelihood(lacks, lack):
     """Of the data where each parameter is about its nominal value and a lack about nothing, by their dense covariance."""
-    r = lacks.regressors
+    r = lacks.screening.regressors
     start = r.pull / r.precision  # estimate minus nominal
     seen = r.residual - r.jacobian @ start
     covariance = (1 + lack.alone**2) * np.eye(len(seen)) + (r.jacobian / r.precision) @ r.jacobian.T
@@ -62,7 +62,7 @@ def test_likelihoods_are_those_of_all_data_at_once(lacks):
 
 def test_amplitudes_are_those_of_a_joint_fit(lacks):
     """Fails if mean or covariance of what may be lacking are not those of parameters and amplitudes estimated together."""
-    r = lacks.regressors
+    r = lacks.screening.regressors
     lack = max((one for one in lacks.every if one.form.kind == "background"), key=lambda one: one.log_weight)
     both = np.hstack([r.jacobian, r.matrix.values[:, lack.form.columns]])
     precision = np.diag(np.concatenate([r.precision, (lack.form.sd * lack.size) ** -2.0]))

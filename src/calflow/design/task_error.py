@@ -85,14 +85,14 @@ class Lack:
 
 @dataclass(frozen=True, eq=False)
 class Lacks:
-    """The weighted candidates of lacking effects, and the linearised model with all their columns.
+    """The weighted candidates of lacking effects, and the screening of all their columns beside the model's parameters.
 
     scatter [m]: standard deviation per axis of further errors of rows.
     """
 
     fitted: Fitted
     effects: tuple[Effect, ...]
-    regressors: Regressors[Cause]
+    screening: Screening[Cause]
     every: tuple[Lack, ...]
     scatter: float
 
@@ -111,7 +111,7 @@ class Lacks:
         n_smooth = sum(len(effect.declared) for effect in smooth)
         forms = [*_causes(regressors, fitted.causes, smooth), *_backgrounds(regressors, kinds, n_smooth)]
         weighed = [lack for kind in ERROR_KINDS for lack in _weighed(seen, kind, forms)]
-        return Lacks(fitted, effects, regressors, tuple(weighed), bare.problem.scatter)
+        return Lacks(fitted, effects, seen, tuple(weighed), bare.problem.scatter)
 
     @cached_property
     def weights(self) -> np.ndarray:
@@ -129,13 +129,9 @@ class Lacks:
 
         alone: size of an independent error of each row, relative to the noise.
         """
-        covariance = np.linalg.inv(_information(self.regressors, 1 + alone**2))
-        return -covariance @ _gradient(self.regressors, 1 + alone**2), covariance
-
-    @cached_property
-    def screening(self) -> Screening[Cause]:
-        """The screening of any columns beside the model's parameters."""
-        return Screening(self.regressors)
+        r, level = self.screening.regressors, 1 + alone**2
+        covariance = np.linalg.inv(_information(r, level))
+        return -covariance @ _gradient(r, level), covariance
 
     def amplitude(self, lack: Lack) -> tuple[np.ndarray, np.ndarray]:
         """Return posterior mean (n,) and covariance (n, n) of a lack's amplitudes, in their own units."""
@@ -146,7 +142,7 @@ class Lacks:
 
     def response(self, columns: np.ndarray) -> np.ndarray:
         """Return the change of the fitted parameters by a unit of each column, (n_free, n_columns)."""
-        return np.asarray(-self.covariance @ self.regressors.products.mixed[:, columns])
+        return np.asarray(-self.covariance @ self.screening.regressors.products.mixed[:, columns])
 
     def probability(self, kind: Kind, name: str = "") -> float:
         """Return the posterior probability of a kind, or of all its sizes and forms of a name."""
