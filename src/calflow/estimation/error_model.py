@@ -144,11 +144,8 @@ class ErrorModel:
         It is the mean square error of the model without these functions, so that their posterior mean counts in full.
         """
         parts = np.array_split(conditions, range(ROWS, conditions.shape[1], ROWS), axis=1)  # not too many rows at once
-        jacobians = (model.point_jacobian(estimate, part) for part in parts)
-        at_rows = (self.at(model, estimate, part) for part in parts)
-        return np.concatenate(
-            [at.variance(jacobian, covariance) for at, jacobian in zip(at_rows, jacobians, strict=True)]
-        )
+        errors = ((self.at(model, estimate, part), model.point_jacobian(estimate, part)) for part in parts)
+        return np.concatenate([at.variance(jacobian, covariance) for at, jacobian in errors])
 
     def at(self, model: Model, estimate: np.ndarray, conditions: np.ndarray) -> ErrorsAtRows:
         """Return the error model evaluated at rows."""

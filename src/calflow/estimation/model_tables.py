@@ -30,7 +30,7 @@ from calflow.files.units import METRE, RADIAN
 from calflow.files.words import mm
 from calflow.model import Model
 from calflow.observations import Observation, observation_kinds
-from calflow.robot.frames import vector
+from calflow.robot.frames import Vector, vector
 from calflow.robot.parts import Base
 from calflow.robot.robot import Robot
 
@@ -330,25 +330,22 @@ def noise_table(devices: Sequence[SeriesNoise], observed: Sequence[Observation])
 def placement_table(robot: Robot, observed: Sequence[Observation]) -> pd.DataFrame:
     """Return the table of `Placed` objects: places from the robot file, or registered by the training data."""
     source = ROBOT_FILE if robot.base.known else REGISTERED
-    placed = [("base", robot.base.origin, robot.base.rotation, "base", source)]
-    placed += [
-        (name, marker.point, NOT_TURNED, "marker", source if marker.known else REGISTERED)
+    rows = [_placed("base", robot.base.origin, robot.base.rotation, "base", source)]
+    rows += [
+        _placed(name, marker.point, NOT_TURNED, "marker", source if marker.known else REGISTERED)
         for name, marker in robot.markers.items()
     ]
     if robot.tool_rotation is not None:
-        placed.append(("tool", (0.0, 0.0, 0.0), robot.tool_rotation, "tool", source))
+        rows.append(_placed("tool", (0.0, 0.0, 0.0), robot.tool_rotation, "tool", source))
     seen = [placement for observation in observed for placement in observation.placements]
-    placed += [(placement.what, placement.origin, placement.rotation, "observation", REGISTERED) for placement in seen]
-    rows = []
-    for what, (x, y, z), turn, kind, origin_of in placed:
-        rx, ry, rz = (float(angle) for angle in np.rad2deg(turn))
-        exact = dict(zip(("rx_rad", "ry_rad", "rz_rad"), turn, strict=True))
-        rows.append(
-            Placed(
-                what=what, x_m=x, y_m=y, z_m=z, rx_deg=rx, ry_deg=ry, rz_deg=rz, kind=kind, source=origin_of, **exact
-            )
-        )
+    rows += [_placed(place.what, place.origin, place.rotation, "observation", REGISTERED) for place in seen]
     return to_frame(rows, Placed)
+
+
+def _placed(what: str, place: Vector, turn: Vector, kind: str, source: str) -> Placed:
+    degrees = (float(angle) for angle in np.rad2deg(turn))
+    figures = [f"{axis}_m" for axis in "xyz"] + [f"r{axis}_{unit}" for unit in ("deg", "rad") for axis in "xyz"]
+    return Placed(what=what, kind=kind, source=source, **dict(zip(figures, (*place, *degrees, *turn), strict=True)))
 
 
 def identified(robot: Robot, results: Results, given: tuple[str, ...]) -> CalibratedModel:
