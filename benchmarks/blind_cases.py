@@ -15,7 +15,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 import numpy as np
 from scipy.stats import chi2, norm
 
-from calflow.diagnosis.findings import noncentrality
+from calflow.diagnosis.candidates import noncentrality
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import Catalogue, Score, Screening
 from calflow.diagnosis.stepwise import SHARES, Detection, Linearisation, Screened

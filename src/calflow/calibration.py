@@ -31,8 +31,10 @@ from calflow.design.discrimination import NextPose, Question, SeparationRow, pos
 from calflow.design.planned import USUAL_DRIFT, Aim, Order, Planned, SelectionRequest, Task
 from calflow.design.selection import Selection, select
 from calflow.diagnosis import FALSE_ALARM
+from calflow.diagnosis.candidates import CandidateRow, candidates_table
+from calflow.diagnosis.cause_curves import CurvePoint, curves
 from calflow.diagnosis.diagnosis import Diagnosis, accuracy_table, diagnosis_summary, extended_model, search_causes
-from calflow.diagnosis.findings import CandidateRow, CurvePoint, Finding, candidates_table, curves
+from calflow.diagnosis.findings import Finding
 from calflow.diagnosis.findings import findings as diagnosed_findings
 from calflow.diagnosis.fitted import HUBER, Fitted
 from calflow.diagnosis.replication import CarriedAccuracy, ConfirmedCause, ConfirmedPoint

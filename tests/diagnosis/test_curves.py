@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 
 import robots
 from calflow.design.candidates import packed_conditions
-from calflow.diagnosis.findings import CurvePoint, curves
+from calflow.diagnosis.cause_curves import CurvePoint, curves
 from calflow.diagnosis.fitted import Fitted
 from calflow.effects import catalogue
 from calflow.effects.base import Cause

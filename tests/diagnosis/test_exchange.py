@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calflow.diagnosis.findings import detection_limits, noncentrality
+from calflow.diagnosis.candidates import detection_limits, noncentrality
 from calflow.diagnosis.regressors import Candidate, Held, Regressors
 from calflow.diagnosis.screening import Family, Screening
 from calflow.diagnosis.stepwise import Exchange

@@ -20,8 +20,9 @@ from calflow.deployment.run_outcome import RunOutcome
 from calflow.deployment.usability import Advice, Rule, judgement
 from calflow.design.discrimination import NextPose, SeparationRow
 from calflow.design.separability import IsolabilityCell
+from calflow.diagnosis.candidates import CandidateRow
 from calflow.diagnosis.diagnosis import DiagnosisSummary
-from calflow.diagnosis.findings import CandidateRow, Finding
+from calflow.diagnosis.findings import Finding
 from calflow.effects.base import ASKED, NEEDS, NamedCause
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.certainty import Certainty, MissedPose

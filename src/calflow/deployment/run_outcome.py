@@ -9,8 +9,10 @@ from typing import Literal, TypeVar
 from calflow.deployment.figures_alone import LEVELS, EffortLevel
 from calflow.deployment.in_space import IN_SPACE, SpaceError
 from calflow.design.discrimination import NextPose, SeparationRow
+from calflow.diagnosis.candidates import CandidateRow
+from calflow.diagnosis.cause_curves import CurvePoint
 from calflow.diagnosis.diagnosis import DiagnosisSummary
-from calflow.diagnosis.findings import CandidateRow, CurvePoint, Finding
+from calflow.diagnosis.findings import Finding
 from calflow.diagnosis.verdict import CauseProbability, ModelRow
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.certainty import Certainty

@@ -1,8 +1,7 @@
-"""The findings: data faults, causes with their rivals, and unexplained structure, with their words, figures and curves.
+"""The findings: data faults, causes with their rivals, and unexplained structure, with their words and figures.
 
 The amplitude is one figure for a cause's size, with a standard deviation averaged over all forms that explain the data as well. The
-gain is the reduction of the held-out error by a finding, with an interval. The detection limit is the least size of a cause that
-these data show. Curves show the error against the variable that explains a finding, without and with it in the model.
+gain is the reduction of the held-out error by a finding, with an interval.
 
 Unexplained structure is predicted by a Gaussian process without physical meaning, which is never part of the model: a decoy's waves
 with independent normal amplitudes of one variance (the weight-space view: Rasmussen and Williams 2006, 2.1). The variance is a
@@ -16,17 +15,15 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
-import scipy
 
 from calflow.diagnosis.diagnosis import Diagnosis
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.misfit import Misfit
 from calflow.diagnosis.noise_growth import RANGE, Growth
-from calflow.diagnosis.screening import Family, Score, Screening, by_place
+from calflow.diagnosis.screening import Screening
 from calflow.diagnosis.stepwise import kindred
 from calflow.diagnosis.unexplained import POSE, UnexplainedStructure
-from calflow.diagnosis.unrepeated import Lever
-from calflow.diagnosis.verdict import Rival, Verdict, amplitude, found_amplitude
+from calflow.diagnosis.verdict import SIZE, Rival, Verdict, found_amplitude
 from calflow.effects import Effect, catalogue
 from calflow.effects.base import (
     IN_TIME,
@@ -34,24 +31,22 @@ from calflow.effects.base import (
     UNEXPLAINED,
     Cause,
     NamedCause,
-    Variable,
     amount,
     cause_family,
     cause_name,
     cause_words,
 )
-from calflow.estimation.accuracy import completed, distances, error_jacobian, errors, judged_unit
+from calflow.estimation.accuracy import distances, error_jacobian, errors, judged_unit
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.curve import Curve
 from calflow.estimation.parameters import UNIT
 from calflow.estimation.variance_components import VarianceComponents
 from calflow.files.deferred import pd
-from calflow.files.tables import column, to_frame, typed
+from calflow.files.tables import column
 from calflow.files.units import METRE
 from calflow.files.words import listed, rounded
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import blocks_of
-from calflow.model import Model
 from calflow.observations import leading_units
 
 NAN = float("nan")
@@ -63,14 +58,10 @@ INPUTS_IN_WORDS = {
     "target": "where on the target a point is",
 }
 RESTS = "comes to rest elsewhere each time, or errs in waves too short for these poses"
-SIZE = "its size; of an angle error curve its root mean square over the measured travel, between readings included"
 OTHER_INPUTS = {*PLACE, *INPUTS_IN_WORDS, "order", "time", "payload"}  # inputs other than single joints
 RESAMPLES = 2000
 INTERVAL = (0.025, 0.975)
-POWER = 0.95
-LEAST_SHOWN, MOST_SHOWN = 1e-3, 1e5  # bracket of the noncentrality
 NOT_DEPLOYED = "; suspected, and left out of the model: it does not help at poses left out in turn"
-PARALLEL = 0.02  # share of an effect across its joint's direction, below which it counts as an error of that joint
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -351,68 +342,6 @@ def _amplitudes(screening: Screening, usual: np.ndarray) -> np.ndarray:
     return usual * amplitudes
 
 
-def noncentrality(
-    false_alarm: float, tests: float | np.ndarray, degrees_of_freedom: int | np.ndarray, left: float | np.ndarray
-) -> np.ndarray:
-    """Return the noncentrality (…) at which F tests pass 95 times in 100; nan where too few degrees of freedom are left.
-
-    tests (…) are the equivalent numbers of tests at the family's false_alarm, degrees_of_freedom and left (…) those of each test.
-    """
-    from scipy.optimize.elementwise import find_root
-
-    single = -np.expm1(np.log1p(-false_alarm) / tests)
-    threshold = scipy.stats.f.isf(single, degrees_of_freedom, left)
-    roots = find_root(_missing_power, (LEAST_SHOWN, MOST_SHOWN), args=(threshold, degrees_of_freedom, left))
-    return np.asarray(roots.x)
-
-
-def _missing_power(shown: np.ndarray, threshold: np.ndarray, spent: np.ndarray, left: np.ndarray) -> np.ndarray:
-    return np.asarray(POWER - scipy.stats.ncf.sf(threshold, spent, left, shown))
-
-
-def detection_limits(scores: Sequence[Score[Cause]], family: Family, false_alarm: float) -> np.ndarray:
-    """Return the least size of each cause that is detected 95 times in 100, in the unit of its first parameter, (n_scores,).
-
-    Several parameters are taken in proportion to their priors, with the information averaged over directions.
-    """
-    shown = []
-    for score in scores:
-        declared = score.cause.declared
-        sd = np.array([parameter.prior_sd for parameter in declared])
-        same = np.array([parameter.unit == declared[0].unit for parameter in declared])
-        shown.append(np.diag(score.information) @ sd**2 / (sd[same] @ sd[same]))
-    tests, spent, left = np.array([(family.tests(score), score.shown, score.left) for score in scores]).reshape(-1, 3).T
-    return np.asarray(np.sqrt(noncentrality(false_alarm, tests, spent, left) / shown))
-
-
-@dataclass(frozen=True, kw_only=True)
-class CandidateRow:
-    """A place of an effect in its best variant, by the first screening, or why it was not tested."""
-
-    cause: str = column("id of the effect")
-    joint: int | None = column("number of its joint or link; empty: none", default=None)
-    statistic: float = column("reduction of chi²", default=NAN)
-    p_family: float = column("family-wise p-value over all tests, by noise alone", default=NAN)
-    delta_bic: float = column(
-        "minus twice the log evidence, which BIC approximates: negative where the cause is favoured", default=NAN
-    )
-    probability: float = column("posterior probability of this place against the others and none", default=NAN)
-    visible_share: float = column("share of its effect that the model's parameters cannot imitate", default=NAN)
-    estimate: float = column(SIZE, UNIT, sd="sd", default=NAN)
-    sd: float = column("standard deviation of the size", UNIT, default=NAN)
-    unit: str = column("of the size (SI)", default="")
-    limit: float = column(
-        "the least size that is detected 95 times in 100; empty where no size would be", UNIT, default=NAN
-    )
-    tests: float = column("equivalent number of tests by which its p-value is corrected", default=NAN)
-    part: str = column("the part of the robot", default="")
-    detail: str = column("the variant, in words", default="")
-    note: str = column("why it was not tested, or how, in words", default="")
-    lacking: str = column("what a test would need; empty: nothing", default="")
-    asked: tuple[str, ...] = column("the names of what is lacking: `approach`, `time`, `masses`, …", default=())
-    imitated: bool = column("not testable: the model's parameters imitate it", default=False)
-
-
 def findings(
     diagnosis: Diagnosis,
     calibrated: CalibratedModel,
@@ -465,64 +394,6 @@ def _gained(
     suffix = "_mm" if unit == METRE else ""
     shown = {f"{name}{suffix}": unit.shown(figure) for name, figure in figures.items()}
     return replace(row, error_unit=unit.label, **shown)
-
-
-def candidates_table(diagnosis: Diagnosis, data: Measurements) -> pd.DataFrame:
-    """Return diagnose/candidates.csv: every place in its best variant, by the first screening, and effects not tested."""
-    first = diagnosis.extended.first
-    places = by_place(first.scores)
-    least = min((cost for cost, _ in places.values()), default=0.0)
-    weights = {place: np.exp(-(cost - least) / 2) for place, (cost, _) in places.items()}
-    nothing = len(places) * np.exp(least / 2)  # a priori as probable as all places together
-    total = sum(weights.values()) + nothing
-    ordered = sorted(places.items(), key=lambda item: item[1][0])
-    limits = detection_limits([score for _, (_, score) in ordered], first.family, diagnosis.false_alarm)
-    rows = []
-    for (place, (cost, score)), limit in zip(ordered, limits.tolist(), strict=True):
-        rows.append(
-            replace(
-                _score(score),
-                p_family=first.family.p(score),
-                delta_bic=cost,
-                probability=weights[place] / total,
-                limit=limit,
-                tests=first.family.tests(score),
-            )
-        )
-    imitated = "not testable: these data cannot show it, the model's own parameters imitate it"
-    for cause in first.hidden:
-        rows.append(
-            CandidateRow(cause=cause.id, joint=cause.joint or None, part=cause.part, note=imitated, imitated=True)
-        )
-    wanted = diagnosis.catalogue
-    untested = {**wanted.lacking, **wanted.superseded}
-    rows += [
-        _noise(kind, diagnosis.growth) for name, kind in catalogue().items() if kind.is_noise() and name not in untested
-    ]
-    for name in (name for name in catalogue() if name in untested):
-        lacking, why = wanted.lacking.get(name, ""), wanted.superseded.get(name)
-        note = f"not tested: {why}" if why else f"not testable: needs {lacking}"
-        asked = catalogue()[name].asks(data.robot, data) if lacking else ()
-        rows.append(CandidateRow(cause=name, note=note, lacking=lacking, asked=asked))
-    return to_frame(rows, CandidateRow)
-
-
-def _noise(kind: type[Effect], grown: Growth | None) -> CandidateRow:
-    """Return the row of a model of the noise, of which growth with range is tested."""
-    if kind.grows_with != RANGE:
-        return CandidateRow(cause=kind.id, note=f"not testable: only noise that grows with {RANGE} is looked for")
-    if grown is None:
-        return CandidateRow(cause=kind.id, note=f"tested on the size of what is left: it does not grow with {RANGE}")
-    return CandidateRow(cause=kind.id, p_family=grown.p, estimate=grown.slope, sd=grown.sd, unit="m/m")
-
-
-def _score(score: Score) -> CandidateRow:
-    curve = Curve.of(score.cause, score.estimate, score.covariance)
-    estimate, sd = curve.rms_over_travel if curve else amplitude(score.cause, score.estimate, score.covariance)
-    return CandidateRow(
-        cause=score.cause.id, joint=score.cause.joint or None, statistic=score.drop, visible_share=score.visible_share,
-        estimate=estimate, sd=sd, unit=score.cause.declared[0].unit, part=score.cause.part, detail=score.cause.detail,
-    )  # fmt: skip
 
 
 def _kept_together(causes: Sequence[Cause]) -> list[list[int]]:
@@ -679,86 +550,3 @@ def _fault(group: pd.DataFrame) -> Finding:
         rows=lines,
         statement=first["statement"],
     )
-
-
-@dataclass(frozen=True, kw_only=True)
-class CurvePoint:
-    """A measured row's error along the direction in which a cause acts, with the variable that explains it."""
-
-    finding: int = column("number of the cause among those in the extended model, from 1")
-    cause: str = column("its id")
-    joint: int | None = column("number of its joint or link; empty: none")
-    variable: str = column("the variable that explains it, in words")
-    variable_unit: str = column("of the variable; empty: none")
-    x: float = column("the variable", "as `variable_unit` says")
-    before_mm: float = column("measured minus predicted, without this cause's contribution; empty: no lengths", "mm")
-    after_mm: float = column("the same with the whole extended model", "mm")
-    fitted_mm: float = column("the cause's contribution", "mm")
-    pose: str = column("as in the measurements")
-    split: str = column("train, holdout; empty: left out as faulty")
-    before: float = column("as before_mm, in `error_unit`")
-    after: float = column("as after_mm, in `error_unit`")
-    fitted: float = column("as fitted_mm, in `error_unit`")
-    error_unit: str = column("the unit by which the model is judged: mm, or where no lengths were measured mrad, px, …")
-
-
-def curves(final: Fitted, causes: Sequence[Cause], data: Measurements) -> pd.DataFrame:
-    """Return one row per measured row and finding: the error along the direction in which the cause moves the tool.
-
-    after is the extended model's residual there, measured minus predicted; fitted is the cause's contribution, before their sum.
-    """
-    model, estimate = final.model, final.fit.estimate
-    left = -np.nan_to_num(errors(model, estimate, data))
-    model, estimate = completed(model, estimate, data)
-    turned = replace(model, effects=(*model.effects, Lever(model.robot)))
-    whole = error_jacobian(turned, np.append(estimate, np.zeros(model.robot.n_joints)), data)
-    jacobian, levers = np.split(whole, [len(estimate)], axis=2)
-    unit = judged_unit(leading_units(data))
-    lengths = unit.scale if unit == METRE else np.nan
-    blocks = []
-    for effect in model.effects:
-        if effect not in causes:
-            continue
-        columns = model.columns(effect)
-        assert isinstance(effect, Cause)
-        moved = jacobian[:, :, columns] @ estimate[columns]
-        lever = levers[:, :, effect.joint - 1] if effect.joint else None
-        along = _acting_along(jacobian[:, :, columns], estimate[columns], lever)
-        variable = effect.effect.variable(effect.joint)
-        after, fitted = (np.einsum("ra,ra->r", part, along) for part in (left, moved))
-        block = {
-            "finding": causes.index(effect) + 1, "cause": effect.id, "joint": effect.joint or None,
-            "variable": variable.label, "variable_unit": variable.unit, "x": _variable_values(model, effect, variable, data),
-            "before_mm": lengths * (after + fitted), "after_mm": lengths * after, "fitted_mm": lengths * fitted,
-            "before": unit.shown(after + fitted), "after": unit.shown(after), "fitted": unit.shown(fitted),
-            "error_unit": unit.label,
-            "pose": data.table["pose"], "split": data.table["split"],
-        }  # fmt: skip
-        blocks.append(typed(pd.DataFrame(block), CurvePoint))
-    return pd.concat(blocks, ignore_index=True) if blocks else to_frame((), CurvePoint)
-
-
-def _acting_along(jacobian: np.ndarray, value: np.ndarray, lever: np.ndarray | None) -> np.ndarray:
-    """Return the unit vectors (n_rows, 3) along which a cause acts.
-
-    If all its parameters move the tool as its joint does, they are along the joint's lever (n_rows, 3), whose sign does not follow
-    the effect, as else every error would look positive. Otherwise they are the principal axis of each row, with one common side.
-    """
-    moved = jacobian * np.abs(value)
-    if lever is not None:
-        along = lever / np.maximum(np.linalg.norm(lever, axis=1), 1e-12)[:, None]
-        apart = moved - along[:, :, None] * np.einsum("ra,rap->rp", along, moved)[:, None, :]
-        if np.linalg.norm(apart) < PARALLEL * np.linalg.norm(moved):
-            return along
-    _, _, axes = np.linalg.svd(moved.transpose(0, 2, 1), full_matrices=False)
-    along = axes[:, 0, :]
-    mean = np.einsum("rap,rbp,rb->a", moved, moved, along)
-    return along * np.where(along @ mean < 0, -1.0, 1.0)[:, None]
-
-
-def _variable_values(model: Model, cause: Effect, variable: Variable, data: Measurements) -> np.ndarray:
-    rigid = Model(model.robot, (), model.given)
-    (values,) = rigid.figures(
-        "variable", lambda p, c, at: [variable.value(at.state, at.row)], rigid.nominal, data.conditions
-    )
-    return values.ravel() * variable.factor

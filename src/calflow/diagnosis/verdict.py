@@ -39,6 +39,7 @@ Status = Literal["named", "one_of"]
 NEGLIGIBLE = 0.02  # probability below which a rival does not affect intervals
 MOST_FITTED = 4  # rivals that are fitted, the likeliest
 MOST_IN_REACH = 24  # models, the likeliest
+SIZE = "its size; of an angle error curve its root mean square over the measured travel, between readings included"
 ONLY = "-"  # stands for the form of a cause that has a single one
 
 

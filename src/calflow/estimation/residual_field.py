@@ -150,7 +150,7 @@ def _cost(logs: np.ndarray, apart: np.ndarray, y: np.ndarray, own: np.ndarray) -
     along = scipy.linalg.cho_solve(factor, own.reshape(len(y), -1)).reshape(own.shape)
     # By QR: rounding in the Gram matrix of wide, nearly dependent priors (base and tool) would swallow the identity.
     white = scipy.linalg.solve_triangular(factor[0], own.reshape(len(y), -1), lower=True).reshape(-1, own.shape[2])
-    root = np.linalg.qr(np.vstack([np.eye(own.shape[2]), white]), mode="r").T
+    root = np.asarray(np.linalg.qr(np.vstack([np.eye(own.shape[2]), white]), mode="r")).T
     absorbed = scipy.linalg.solve_triangular(root, along.reshape(-1, len(root)).T, lower=True).T.reshape(own.shape)
     weights = scipy.linalg.cho_solve(factor, y) - absorbed @ np.einsum("nak,na->k", absorbed, y)
     spread = y.shape[1] * scipy.linalg.cho_solve(factor, np.eye(len(y))) - weights @ weights.T

@@ -20,7 +20,8 @@ from calflow.deployment.usability import (
 from calflow.deployment.validation import Validation
 from calflow.design.discrimination import ENOUGH, MOST_NEXT_POSES, NextPose
 from calflow.design.separability import isolability_gaps
-from calflow.diagnosis.findings import RESTS, CandidateRow
+from calflow.diagnosis.candidates import CandidateRow
+from calflow.diagnosis.findings import RESTS
 from calflow.effects.base import ASKED, NEEDS, UNEXPLAINED, Need, ShownBy, cause_name, place_name, place_names
 from calflow.estimation.certainty import PROMISED
 from calflow.estimation.identifiability import Statement

@@ -12,7 +12,8 @@ from calflow.deployment.run_outcome import RunOutcome
 from calflow.deployment.usability import mistake_unsettled
 from calflow.design.discrimination import ENOUGH, SeparationRow, no_pose_words
 from calflow.diagnosis import FALSE_ALARM
-from calflow.diagnosis.findings import CandidateRow, Finding
+from calflow.diagnosis.candidates import CandidateRow
+from calflow.diagnosis.findings import Finding
 from calflow.diagnosis.stepwise import SHARES
 from calflow.effects.base import UNEXPLAINED, cause_family, cause_name, cause_words, place_name, readable_size
 from calflow.files.deferred import pd

@@ -1,0 +1,145 @@
+"""The candidates: every place of the catalogue in its best variant by the first screening, with the least size that it detects."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy
+
+from calflow.diagnosis.diagnosis import Diagnosis
+from calflow.diagnosis.noise_growth import RANGE, Growth
+from calflow.diagnosis.screening import Family, Score, by_place
+from calflow.diagnosis.verdict import SIZE, amplitude
+from calflow.effects import Effect, catalogue
+from calflow.effects.base import Cause
+from calflow.estimation.curve import Curve
+from calflow.estimation.parameters import UNIT
+from calflow.files.deferred import pd
+from calflow.files.tables import column, to_frame
+from calflow.measurements.measurements import Measurements
+
+NAN = float("nan")
+POWER = 0.95
+LEAST_SHOWN, MOST_SHOWN = 1e-3, 1e5  # bracket of the noncentrality
+
+
+@dataclass(frozen=True, kw_only=True)
+class CandidateRow:
+    """A place of an effect in its best variant, by the first screening, or why it was not tested."""
+
+    cause: str = column("id of the effect")
+    joint: int | None = column("number of its joint or link; empty: none", default=None)
+    statistic: float = column("reduction of chi²", default=NAN)
+    p_family: float = column("family-wise p-value over all tests, by noise alone", default=NAN)
+    delta_bic: float = column(
+        "minus twice the log evidence, which BIC approximates: negative where the cause is favoured", default=NAN
+    )
+    probability: float = column("posterior probability of this place against the others and none", default=NAN)
+    visible_share: float = column("share of its effect that the model's parameters cannot imitate", default=NAN)
+    estimate: float = column(SIZE, UNIT, sd="sd", default=NAN)
+    sd: float = column("standard deviation of the size", UNIT, default=NAN)
+    unit: str = column("of the size (SI)", default="")
+    limit: float = column(
+        "the least size that is detected 95 times in 100; empty where no size would be", UNIT, default=NAN
+    )
+    tests: float = column("equivalent number of tests by which its p-value is corrected", default=NAN)
+    part: str = column("the part of the robot", default="")
+    detail: str = column("the variant, in words", default="")
+    note: str = column("why it was not tested, or how, in words", default="")
+    lacking: str = column("what a test would need; empty: nothing", default="")
+    asked: tuple[str, ...] = column("the names of what is lacking: `approach`, `time`, `masses`, …", default=())
+    imitated: bool = column("not testable: the model's parameters imitate it", default=False)
+
+
+def candidates_table(diagnosis: Diagnosis, data: Measurements) -> pd.DataFrame:
+    """Return diagnose/candidates.csv: every place in its best variant, by the first screening, and effects not tested."""
+    first = diagnosis.extended.first
+    places = by_place(first.scores)
+    least = min((cost for cost, _ in places.values()), default=0.0)
+    weights = {place: np.exp(-(cost - least) / 2) for place, (cost, _) in places.items()}
+    nothing = len(places) * np.exp(least / 2)  # a priori as probable as all places together
+    total = sum(weights.values()) + nothing
+    ordered = sorted(places.items(), key=lambda item: item[1][0])
+    limits = detection_limits([score for _, (_, score) in ordered], first.family, diagnosis.false_alarm)
+    rows = []
+    for (place, (cost, score)), limit in zip(ordered, limits.tolist(), strict=True):
+        rows.append(
+            replace(
+                _score(score),
+                p_family=first.family.p(score),
+                delta_bic=cost,
+                probability=weights[place] / total,
+                limit=limit,
+                tests=first.family.tests(score),
+            )
+        )
+    imitated = "not testable: these data cannot show it, the model's own parameters imitate it"
+    for cause in first.hidden:
+        rows.append(
+            CandidateRow(cause=cause.id, joint=cause.joint or None, part=cause.part, note=imitated, imitated=True)
+        )
+    wanted = diagnosis.catalogue
+    untested = {**wanted.lacking, **wanted.superseded}
+    rows += [
+        _noise(kind, diagnosis.growth) for name, kind in catalogue().items() if kind.is_noise() and name not in untested
+    ]
+    for name in (name for name in catalogue() if name in untested):
+        lacking, why = wanted.lacking.get(name, ""), wanted.superseded.get(name)
+        note = f"not tested: {why}" if why else f"not testable: needs {lacking}"
+        asked = catalogue()[name].asks(data.robot, data) if lacking else ()
+        rows.append(CandidateRow(cause=name, note=note, lacking=lacking, asked=asked))
+    return to_frame(rows, CandidateRow)
+
+
+def _noise(kind: type[Effect], grown: Growth | None) -> CandidateRow:
+    """Return the row of a model of the noise, of which growth with range is tested."""
+    if kind.grows_with != RANGE:
+        return CandidateRow(cause=kind.id, note=f"not testable: only noise that grows with {RANGE} is looked for")
+    if grown is None:
+        return CandidateRow(cause=kind.id, note=f"tested on the size of what is left: it does not grow with {RANGE}")
+    return CandidateRow(cause=kind.id, p_family=grown.p, estimate=grown.slope, sd=grown.sd, unit="m/m")
+
+
+def _score(score: Score) -> CandidateRow:
+    curve = Curve.of(score.cause, score.estimate, score.covariance)
+    estimate, sd = curve.rms_over_travel if curve else amplitude(score.cause, score.estimate, score.covariance)
+    return CandidateRow(
+        cause=score.cause.id, joint=score.cause.joint or None, statistic=score.drop, visible_share=score.visible_share,
+        estimate=estimate, sd=sd, unit=score.cause.declared[0].unit, part=score.cause.part, detail=score.cause.detail,
+    )  # fmt: skip
+
+
+def noncentrality(
+    false_alarm: float, tests: float | np.ndarray, degrees_of_freedom: int | np.ndarray, left: float | np.ndarray
+) -> np.ndarray:
+    """Return the noncentrality (…) at which F tests pass 95 times in 100; nan where too few degrees of freedom are left.
+
+    tests (…) are the equivalent numbers of tests at the family's false_alarm, degrees_of_freedom and left (…) those of each test.
+    """
+    from scipy.optimize.elementwise import find_root
+
+    single = -np.expm1(np.log1p(-false_alarm) / tests)
+    threshold = scipy.stats.f.isf(single, degrees_of_freedom, left)
+    roots = find_root(_missing_power, (LEAST_SHOWN, MOST_SHOWN), args=(threshold, degrees_of_freedom, left))
+    return np.asarray(roots.x)
+
+
+def _missing_power(shown: np.ndarray, threshold: np.ndarray, spent: np.ndarray, left: np.ndarray) -> np.ndarray:
+    return np.asarray(POWER - scipy.stats.ncf.sf(threshold, spent, left, shown))
+
+
+def detection_limits(scores: Sequence[Score[Cause]], family: Family, false_alarm: float) -> np.ndarray:
+    """Return the least size of each cause that is detected 95 times in 100, in the unit of its first parameter, (n_scores,).
+
+    Several parameters are taken in proportion to their priors, with the information averaged over directions.
+    """
+    shown = []
+    for score in scores:
+        declared = score.cause.declared
+        sd = np.array([parameter.prior_sd for parameter in declared])
+        same = np.array([parameter.unit == declared[0].unit for parameter in declared])
+        shown.append(np.diag(score.information) @ sd**2 / (sd[same] @ sd[same]))
+    tests, spent, left = np.array([(family.tests(score), score.shown, score.left) for score in scores]).reshape(-1, 3).T
+    return np.asarray(np.sqrt(noncentrality(false_alarm, tests, spent, left) / shown))
