@@ -34,8 +34,8 @@ EVIDENCE = (
     "false alarm is likelier than {percent} %."
 )
 LIMITS = (
-    "Detection limits: the size at which a cause would be found in 95 of 100 cases, at each joint or link, given the scatter that "
-    "the study's model leaves."
+    "The size at which a cause would be found in 95 of 100 cases, at each joint or link, given the scatter that the study's model "
+    "leaves."
 )
 IMITATED = "the model's own parameters imitate"
 STATUS = {"named": "named", "one_of": "one of several", "unexplained": "not explained"}
