@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import casadi as ca
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from calflow.effects.tool_deflection import ToolDeflection
 from calflow.effects.tool_sag import ToolSag
 from calflow.model import Model
 from robots import industrial, poses, rows, tool_rotation
@@ -47,6 +49,15 @@ def test_a_bracket_turns_what_is_on_it():
         own, down = shifts("cantilever", {"tool.t": 3e-4}, marker)
         turn = 3e-4 * np.cross([0.0, 0.0, 1.0], down)
         assert_allclose(own, np.cross(turn, place["point_m"]), atol=2e-7)
+
+
+@pytest.mark.parametrize("effect", [ToolSag, ToolDeflection])
+def test_a_bracket_that_turns_alone_has_a_size(effect):
+    """Fails if the size reported of a tool that rotates about the flange is a shift of the flange, which is none."""
+    robot = industrial(markers=POINTS)
+    bracket = effect(robot, {ToolSag: "cantilever", ToolDeflection: "bracket"}[effect])
+    farthest = np.linalg.norm(POINTS["F"]["point_m"])
+    assert_allclose(float(ca.evalf(bracket.size(ca.SX([0.0, 2e-4])))), 2e-4 * farthest)
 
 
 def test_any_matrix_moves_one_axis_across_another():

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import casadi as ca
+import numpy as np
 
 from calflow.effects.base import OF_THE_TOOL, Effect, Words, parts, payload_variable
 from calflow.robot.mechanism import Deflection, Row, State
@@ -32,6 +33,16 @@ def tools(robot: Robot) -> dict[str, int]:
     """Return the number of the link of each tip's tool, by part; with several tips, parts are named after their links."""
     several = len(robot.tools) > 1
     return {f"{TOOL} {robot.links[link]}" if several else TOOL: link for link in robot.tools}
+
+
+def reach(robot: Robot) -> float:
+    """Return the distance [m] of the farthest marker from its flange; a rotation about the flange moves no marker farther."""
+    points = [
+        marker.point
+        for marker, link in zip(robot.markers.values(), robot.marker_links, strict=True)
+        if link in robot.tools
+    ]
+    return max((float(np.linalg.norm(point)) for point in points), default=0.0)
 
 
 @dataclass(frozen=True)
@@ -92,6 +103,10 @@ class ToolDeflection(Effect):
         for symbol in TURNS[self.shape]:
             sd, bound = TURNS_SD * usual, TURNS_BOUND * usual
             yield Parameter(self.id, part, symbol, f"rad{per}", sd, lowest * bound, bound, meaning=f"{words}, its turn")
+
+    def size(self, p: ca.SX) -> ca.SX:
+        """Return the shift per weight: of a bracket, which may rotate alone, that of the farthest marker."""
+        return p[0] + reach(self.robot) * p[1] if self.shape == "bracket" else super().size(p)
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
         """Return the deflection with each flange displaced."""

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from calflow.effects.base import OF_THE_TOOL, Effect, Variable, Words, parts
-from calflow.effects.tool_deflection import TOOL, tools
+from calflow.effects.tool_deflection import TOOL, reach, tools
 from calflow.robot.mechanism import Deflection, Row, State
 from calflow.robot.parts import Parameter
 
@@ -78,6 +78,11 @@ class ToolSag(Effect):
         for i, j in self._entries(part):
             symbol = f"c{'xyz'[i]}{'xyz'[j]}" if i != j else f"c{'xyz'[i]}"
             yield Parameter(self.id, part, symbol, "m", SAG_SD, -SAG_BOUND, SAG_BOUND, meaning=words)
+
+    def size(self, p: ca.SX) -> ca.SX:
+        """Return the shift: of a cantilever that rotates, and may do so alone, that of the farthest marker."""
+        turns = self.shape == "cantilever" and p.numel() == 2
+        return p[0] + reach(self.robot) * p[1] if turns else super().size(p)
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
         """Return the deflection of each tool's link; a marker's own sag acts in that marker's rows alone."""
