@@ -22,8 +22,8 @@ MOVEMENTS_SHOWN = 12  # movements in the table of what was tested
 SMALL_SHARE = 1e-3  # below which a share is stated in millionths
 SURE_OF_MOVEMENT = 0.95  # probability above which a movement is named without reservation
 EACH_ALONE = (
-    "Each movement tested alone against nothing having moved, the likeliest first. Last column: the shift that these check poses "
-    "would show in 95 of 100 cases (of several numbers, of the first)."
+    "Each movement tested alone against nothing having moved, the most probable first. Detection limit: the shift that these "
+    "check poses would show in 95 of 100 cases (of several numbers, of the first)."
 )
 
 
@@ -136,7 +136,9 @@ def _tested(drift: Drift) -> Table:
         value, sd = with_sd(factor * tested.shifts[0], factor * tested.sds[0])
         limit = rounded(factor * tested.limits[0], 2) if np.isfinite(tested.limits[0]) else "–"
         rows.append((first_up(tested.meaning), unit, value, sd, f"{tested.p:.1g}", f"{tested.probability:.3f}", limit))
-    return Table(("what may have moved", "unit", "shift", "sd", "p alone", "probability", "seen from"), rows, "llrrrrr")
+    return Table(
+        ("what may have moved", "unit", "shift", "sd", "p alone", "probability", "detection limit"), rows, "llrrrrr"
+    )
 
 
 def _check_poses(drift: Drift) -> Figure:

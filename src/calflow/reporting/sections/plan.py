@@ -289,7 +289,7 @@ def _additions(material: Material) -> list[Block]:
         for row in rows
     ]  # fmt: skip
     head = ["addition", "poses", "points", "tool sd [mm]", "lower by", "parameters that gain most (sd lower by)"]
-    return [Paragraph(ADDITIONS, keep=True), Table(head, cells, "lrrrrl", wide=0, size=8.4)]
+    return [Paragraph(ADDITIONS, keep=True), Table(head, cells, "lrrrrl", wide=5, size=8.4)]
 
 
 WORTH_SECTION = Section(72, "What one addition is worth", WORTH_TABLE, _additions)
@@ -304,7 +304,7 @@ def _measuring_order(material: Material) -> list[Block]:
          mm(row.tool_pull_mm), f"{row.parameter}: {row.pull_sd:.1f} sd"]
         for row in rows
     ]  # fmt: skip
-    head = ["order", "travel", "drift", "bias of the tool [mm]", "most biased parameter"]
+    head = ["order", "travel (relative)", "drift", "bias of the tool [mm]", "most biased parameter"]
     via = [Paragraph(VIAS)] if any(str(name).startswith("via") for name in poses) else []
     return [Paragraph(DRIFTS, keep=True), Table(head, cells, "lrlrl", wide=4), *via]
 

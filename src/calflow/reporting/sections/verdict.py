@@ -185,7 +185,9 @@ def pose_errors(material: Material, limits: pd.Series | None = None) -> Plot:
     """
     drawn, unit, largest = figure(2.6, 3.3), material.certainty.unit, material.largest
     axes, verdict, edges = drawn.add_subplot(), held_against_tolerance(material), np.arange(len(largest) + 1) + 0.5
-    axes.stairs(largest, edges, fill=True, fc=LIGHT, ec=DARK, lw=0.6, label="largest error of each pose")
+    axes.stairs(
+        largest, edges, fill=True, facecolor=LIGHT, edgecolor=DARK, linewidth=0.6, label="largest error of each pose"
+    )
     numbers = largest.rename_axis("pose").rename(f"largest_error_{unit}").to_frame()
     if limits is not None:
         numbers[f"promised_{unit}"] = promised = limits.reindex(largest.index)
