@@ -105,7 +105,7 @@ class Plant:
     def chosen(self, expecting: cf.Robot, rng: np.random.Generator) -> np.ndarray:
         """Few readings (FEW, 6) [rad] that tell most of the tool of a robot that something is expected of."""
         model = build(expecting, EFFECTS)
-        task = Task.of(model, self.drawn_poses(100, rng), PAYLOADS, next(iter(expecting.markers)))
+        task = Task.of(self.drawn_poses(100, rng), PAYLOADS, next(iter(expecting.markers)))
         asked = SelectionRequest(number=FEW, aim="tool", task=task, payload=PAYLOADS[-1], candidates=5000, refine=True)
         return select(model, asked).readings
 

@@ -40,9 +40,9 @@ def request(planned, cell=None):
 def test_refined_poses_are_better_and_allowed(model, for_tool):
     """Fails if a move makes poses worse, or leaves joint limits, the region or what the loop reaches; or none is made."""
     planned = Planned(model.observations[0], 5e-5)
-    readings, conditions = candidates(model, 30, "rated", "E", REGION, np.random.default_rng(2))
+    readings, _ = candidates(model, 30, "rated", "E", REGION, np.random.default_rng(2))
     prior = np.eye(len(model.parameters))
-    criterion = Task(conditions).criterion(model) if for_tool else ParameterCriterion(len(prior))
+    criterion = Task.of(readings, ["rated"], "E").criterion(model) if for_tool else ParameterCriterion(len(prior))
     found = refined_poses(model, request(planned), readings, prior, criterion)
 
     def loss(poses):

@@ -29,7 +29,7 @@ def plan_of(robot):
     model = build(robot, ("geometry",), (), (PLANNED.observation,))
     drawn = qmc.scale(qmc.Sobol(robot.n_joints, rng=np.random.default_rng(1)).random(64), *robot.limits.T)
     marker = next(iter(robot.markers))
-    task = Task(packed_conditions(model, drawn[POSES + 10 :], "", marker)).criterion(model)
+    task = Task.of(drawn[POSES + 10 :], [""], marker).criterion(model)
     further = (
         PLANNED.whitened(model, model.nominal, packed_conditions(model, drawn[POSES : POSES + 10], "", marker))
         * model.prior_sd

@@ -134,10 +134,13 @@ def allowed(
     return np.asarray(good)
 
 
-def packed_conditions(model: Model, readings: np.ndarray, payload: str, marker: str) -> np.ndarray:
-    """Return packed conditions (n_conditions, n_rows) of readings (n_rows, n_joints) under one payload, for one marker."""
+def packed_conditions(model: Model, readings: np.ndarray, payload: str | np.ndarray, marker: str) -> np.ndarray:
+    """Return packed conditions (n_conditions, n_rows) of readings (n_rows, n_joints), for one marker.
+
+    payload is that of all rows, or of each (n_rows,).
+    """
     robot, n = model.robot, len(readings)
-    payloads = [np.full(n, float(name == payload)) for name in robot.payloads]
+    payloads = [np.broadcast_to(np.asarray(payload) == name, n) for name in robot.payloads]
     markers = [np.full(n, float(name == marker)) for name in robot.markers]
     rest = model.n_conditions - robot.n_joints - len(payloads) - len(markers)
     return np.vstack([*readings.T, *payloads, *markers, *np.zeros((rest, n))])

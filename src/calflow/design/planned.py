@@ -128,9 +128,11 @@ def _joint_columns(there: list[str], robot: Robot, file: Path) -> list[ReadColum
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """The poses at which the tool must be accurate: packed conditions (n_conditions, n_points), equally weighted."""
+    """The poses at which the tool must be accurate, equally weighted: readings (n, n_joints), and the payload of each (n,)."""
 
-    conditions: np.ndarray
+    readings: np.ndarray
+    payloads: np.ndarray
+    marker: str
 
     @staticmethod
     def within(
@@ -143,16 +145,17 @@ class Task:
             InputError: hardly any pose reaches the region.
         """
         readings, _ = candidates(model, number, payloads[0], marker, region, rng)
-        return Task.of(model, readings, payloads, marker)
+        return Task.of(readings, payloads, marker)
 
     @staticmethod
-    def of(model: Model, readings: np.ndarray, payloads: Sequence[str], marker: str) -> Task:
+    def of(readings: np.ndarray, payloads: Sequence[str], marker: str) -> Task:
         """Return the task of joint readings (n, n_joints), each under each payload."""
-        return Task(np.hstack([packed_conditions(model, readings, payload, marker) for payload in payloads]))
+        return Task(np.tile(readings, (len(payloads), 1)), np.repeat(payloads, len(readings)), marker)
 
     def criterion(self, model: Model) -> ToolError:
         """Return the tool's error over the task, of a model whose parameters are scaled by their priors."""
-        slopes = model.point_jacobian(model.nominal, self.conditions) * model.prior_sd
+        conditions = packed_conditions(model, self.readings, self.payloads, self.marker)
+        slopes = model.point_jacobian(model.nominal, conditions) * model.prior_sd
         return ToolError(slopes, np.full(len(slopes), 1 / len(slopes)))
 
 

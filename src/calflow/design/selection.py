@@ -163,7 +163,7 @@ def select(
     whitened, prior = request.whitened(model, conditions), np.eye(len(model.parameters))
     if request.there is not None:
         prior = information(request.whitened(model, request.there), prior)
-    tool = (request.task or Task(conditions[:, :TASK_POSES])).criterion(model)
+    tool = (request.task or Task.of(readings[:TASK_POSES], [request.payload], request.marker)).criterion(model)
     criterion: Criterion = ParameterCriterion(len(prior)) if request.aim == "parameters" else tool
     say(f"{len(readings)} candidates, {len(prior)} parameters")
     advance(0.5)

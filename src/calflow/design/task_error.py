@@ -263,15 +263,8 @@ class Site:
     @staticmethod
     def of(fitted: Fitted, task: Task, rng: np.random.Generator) -> Site:
         """Return the task's points, with conditions other than readings and payload like those of the measured rows."""
-        robot, data = fitted.data.robot, fitted.data
-        n = robot.n_joints
-        names = np.array([*robot.payloads, ""])
-        carried = np.vstack([task.conditions[n : n + len(names) - 1], 0.5 * np.ones(task.conditions.shape[1])]).argmax(
-            axis=0
-        )
-        readings = task.conditions[:n].T
-        came = rng.choice([-1.0, 1.0], readings.shape)
-        conditions = rows_like(data, readings, came, list(names[carried]), rng).conditions
+        came = rng.choice([-1.0, 1.0], task.readings.shape)
+        conditions = rows_like(fitted.data, task.readings, came, list(task.payloads), rng).conditions
         return Site(fitted, conditions, fitted.model.point_jacobian(fitted.fit.estimate, conditions))
 
     def moved(self, effects: tuple[Effect, ...]) -> np.ndarray:

@@ -30,7 +30,7 @@ from calflow.faults import examined
 from calflow.files.problems import refuse, refuse_any
 from calflow.files.toml import Confidence, Count, checked_arguments
 from calflow.measurements.measurements import Measurements
-from calflow.model import Model, build, stated
+from calflow.model import build, stated
 from calflow.observations import observations
 from calflow.stages.select import by_sides, measured_rows, named_problems, planned_of, request_of, select_problems
 from calflow.stages.settings import DiagnoseSettings, IdentifySettings, SelectSettings
@@ -138,7 +138,7 @@ def _diagnosed_step(
     if task is None and settings.region is not None:
         task = Task.within(bare, (settings.payload,), marker, settings.region, TASK_POSES, rng("task"))
     elif task is None:
-        task, notes = _measured(bare, first.data, marker), (*notes, WHERE_MEASURED)
+        task, notes = _measured(first.data, marker), (*notes, WHERE_MEASURED)
     request = NextPosesRequest(
         selection=replace(asked, number=number, marker=marker, task=task),
         measure=_measure(settings),
@@ -148,13 +148,13 @@ def _diagnosed_step(
     return next_step(search, first.known, replace(first.data, notes=notes), request, rng)
 
 
-def _measured(model: Model, data: Measurements, marker: str) -> Task:
+def _measured(data: Measurements, marker: str) -> Task:
     """Return the default task: the measured poses, each with its payload."""
     poses = data.only(data.train | data.held_out)
     poses = poses.only(~poses.table.duplicated(["pose", "payload"]).to_numpy())
-    readings, carried = poses.conditions[: data.robot.n_joints].T, poses.table["payload"].astype(str).to_numpy()
-    tasks = [Task.of(model, readings[carried == name], (name,), marker) for name in np.unique(carried)]
-    return Task(np.hstack([task.conditions for task in tasks]))
+    carried = poses.table["payload"].astype(str).to_numpy()
+    order = np.argsort(carried, kind="stable")
+    return Task(poses.joints[order], carried[order], marker)
 
 
 def _missing_files(study: Study) -> list[Path]:

@@ -98,7 +98,7 @@ def study_task(study: Study, settings: SelectSettings, model: Model, rng: np.ran
     payloads = task.payloads or (settings.payload,)
     marker = settings.marker or next(iter(study.robot.markers))
     if task.poses:
-        return Task.of(model, stated_poses(study.path.parent / task.poses, model), payloads, marker)
+        return Task.of(stated_poses(study.path.parent / task.poses, model), payloads, marker)
     region = settings.region if task.region is None else task.region
     return Task.within(model, payloads, marker, region, task.number, rng)
 
