@@ -477,8 +477,8 @@ def _drawings() -> dict[str, Figure]:
             "a line": explained_figure(x, curve + noise, noise, curve, held, "moment across the axis of joint 2", "Nm"),
             "crosses": explained_figure(x, cloud + noise, noise, cloud, held, "angle of joint 2", "deg"),
             "groups": explained_figure(side, side + noise, noise, side, held, "approach of joint 2", ""),
-            "budget": error_budget(["Nominal", "Geometry", "+ sag"], [0.3, 0.1, 0.12], 0.05, "mm", "held-out poses"),
-            "budget, decades": error_budget(["Nominal", "Geometry"], [31.0, 0.05], None, "mm", "held-out poses"),
+            "budget": error_budget(["Nominal", "Geometry", "+ sag"], [0.3, 0.1, 0.12], 0.05, "mm", "held out"),
+            "budget, decades": error_budget(["Nominal", "Geometry"], [31.0, 0.05], None, "mm", "held out"),
             "evidence": evidence(["Backlash of joint 2", "Sag"], np.array([80.0, -3.0]), ["< 10⁻⁶", "0.4"], side[1:3] > 0),
             "none held out": explained_figure(side, side + noise, noise, side, held & False, "payload", "kg"),
         }  # fmt: skip

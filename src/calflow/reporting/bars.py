@@ -43,7 +43,7 @@ def error_budget(names: Sequence[str], levels: Sequence[float], floor: float | N
         plain_decades(axes.xaxis, begin, most)
     else:
         axes.set_xlim(0, (1 + ROOM) * max(most, floor or 0.0))
-    axes.set_xlabel(f"mean error at {where} [{unit}]")
+    axes.set_xlabel(f"mean error at poses {where} [{unit}]")
     if floor:
         drawn.legend(loc="outside upper right")
     return drawn

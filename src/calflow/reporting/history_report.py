@@ -19,11 +19,9 @@ VERDICTS: dict[Verdict, str] = {
 }
 PARAMETERS_DRAWN, ACROSS = 9, 3  # parameters drawn, and panels per row
 PARAMETERS_NAMED = 15  # parameters in a sentence
-
-
 CAPTION = (
-    "What each run's measurements say by themselves (± 2 standard deviations), as the difference from the first run; lines are "
-    "means between changes. Parameters that moved stand first, then those that differ most."
+    "Estimates from each run's measurements alone (± 2 standard deviations), as the difference from the first run; lines: "
+    "means between changes. First the parameters that moved, then those that differ most."
 )
 
 

@@ -20,7 +20,7 @@ CONFIDENCE = 0.95  # of the bound on the share of poses within tolerance
 NO_TOLERANCE = "State the required tolerance: the report then says whether the robot passes."
 SIMULATED = "Simulated measurements: no robot was measured."
 KELVIN = 273.15
-DATE, OPEN = "date of the measurement", "open: not stated"
+OPEN = "open: not stated"
 SIGN = ("Calibrated by: name, date, signature", "Accepted by: name, date, signature")
 JUDGED = (
     "Judged is the distance between the predicted and the measured position of the tool at the held-out poses, the instrument's "
@@ -168,18 +168,15 @@ def _signed(request: StudyFile) -> list[Block]:
 def _stated(material: Material, asked: Acceptance) -> list[tuple[str, str]]:
     """Return the stated facts to sign; missing required facts are marked as open, other missing ones omitted."""
     temperature = "" if asked.temperature is None else f"{asked.temperature - KELVIN:.1f} °C"
-    facts = [
-        ("robot", material.robot.name),
-        ("serial number", asked.serial_number),
-        ("instrument", asked.instrument),
-        ("its certificate", asked.certificate),
-        (DATE, asked.date.isoformat() if asked.date else ""),
-        ("operator", asked.operator),
-        ("temperature", temperature),
-        ("tolerance", f"{mm(1e3 * asked.tolerance)} mm" if asked.tolerance else ""),
-    ]
-    needed = {DATE if name == "date" else name for name in unstated(material.request)}
-    return [(name, value or OPEN) for name, value in facts if value or name in needed]
+    facts = {
+        "robot": material.robot.name,
+        **_facts(material.request),
+        "certificate of the instrument": asked.certificate,
+        "temperature": temperature,
+        "tolerance": f"{mm(1e3 * asked.tolerance)} mm" if asked.tolerance else "",
+    }
+    missing = unstated(material.request)
+    return [(name, value or OPEN) for name, value in facts.items() if value or name in missing]
 
 
 def _why(material: Material, verdict: Judged | None) -> list[Block]:

@@ -36,7 +36,6 @@ NORMAL = "Dotted: normal noise of the same size; another shape of the curves poi
 BUDGET = (
     "Error budget: what each step of the model, and each cause in turn, takes off the mean error, and what is left."
 )
-HELD_OUT = {"train": "poses used for the fit", "holdout": "held-out poses"}
 LIMITS = f"Errors of held-out poses and the limits below which {percent(PROMISED)} of such errors are predicted."
 DISTANCE = "Distance between predicted and measured tool position"
 HELD_OUT_POSES = "The held-out poses were not used for the fit: they show how accurate the model is at new poses."
@@ -120,7 +119,7 @@ def _budget(material: Material) -> list[Block]:
     judged = material.judged_steps[0]
     rows = [row for row in named_steps(material) if (row[1].split, row[1].unit) == (judged.split, judged.unit)]
     names, levels, unit = [first_up(name) for name, _ in rows], [row.figures[0] for _, row in rows], material.unit.label
-    drawn = error_budget(names, levels, material.certainty.noise_floor, unit, HELD_OUT[judged.split])
+    drawn = error_budget(names, levels, material.certainty.noise_floor, unit, SPLITS[judged.split])
     return [Plot("error_budget", drawn, BUDGET, pd.DataFrame({"model": names, f"mean_error_{unit}": levels}))]
 
 
