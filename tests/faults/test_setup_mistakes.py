@@ -130,7 +130,7 @@ def test_two_joint_columns_that_are_exchanged(measured):
 
 @pytest.mark.filterwarnings("error")
 def test_a_change_before_the_first_fitted_row_is_no_fit(measured):
-    """Fails if the size of no errors at all is asked for where all rows before a change are held out."""
+    """Fails if a change is measured by fitted rows alone where all before it are held out: the size of no errors is none."""
     early = np.arange(len(measured)) < 6
     table = measured.table.assign(
         q2=measured.table["q2"] + 0.1 * early, split=measured.table["split"].mask(early, "holdout")
@@ -179,10 +179,12 @@ def test_springs_that_may_not_push_are_paid_for_as_those_that_pull(measured):
     assert hung.fit.volume < hung.setup.without_springs.fitted.fit.volume - 0.5 * len(held)
 
 
-def test_a_device_that_was_moved_at_a_row(measured):
-    """Fails if the row is not told, or outliers are left out in its place."""
+@pytest.mark.parametrize("typed", [(), (3,), (3, 55)])
+def test_a_device_that_was_moved_at_a_row(measured, typed):
+    """Fails if the row is not told, outliers are left out in its place, or one that is typed in mm outweighs all others."""
     later = (np.arange(len(measured)) >= 41)[:, None]
     x, y, z = np.where(later, measured.position + np.array([0.03, 0.0, 0.02]), measured.position).T
+    x[[*typed]] *= 1000
     (fault,) = examined(with_columns(measured, x=x, y=y, z=z))[1]
     assert (fault.cause, fault.action) == ("device-moved", "unsettled")
     assert f"from line {measured.table['line'][41]} on" in fault.statement
@@ -211,16 +213,34 @@ def test_rows_that_are_read_otherwise_from_one_on_are_put_right(measured):
 
 @pytest.mark.parametrize(
     ("of", "joint", "first", "step"),
-    [("measured", 3, 33, 1), ("measured", 1, 25, 1), ("measured", 1, 33, 2), ("weightless", 1, 41, 1)],
+    [
+        ("measured", 3, 33, 1),
+        ("measured", 3, 35, 2),
+        ("measured", 1, 25, 1),
+        ("measured", 1, 33, 2),
+        ("weightless", 1, 41, 1),
+    ],
 )
 def test_a_joint_that_was_mastered_anew_at_a_row(request, of, joint, first, step):
-    """Fails if nothing, a step of the device, a turn of the motor or another joint is told of, or the step is not what it was."""
+    """Fails if nothing, a step of the device, a turn of the motor or another joint is told of, or the step is not what it was.
+
+    The fit of the readings as they are goes with a part of the step, so that another row seems to be its first.
+    """
     measured, column = request.getfixturevalue(of), f"q{joint}"
     later = np.arange(len(measured)) >= first
     (fault,) = examined(with_columns(measured, **{column: measured.table[column] + later * np.deg2rad(step)}))[1]
     assert (fault.cause, fault.joint, fault.action) == ("zero-changed", joint, "unsettled")
     line = measured.table["line"][first]
     assert f"from line {line} on the readings of joint {joint} are {step} deg too large" in fault.statement
+
+
+def test_a_joint_that_was_mastered_anew_beside_single_typing_errors(measured):
+    """Fails if rows that are off by themselves, the last among those after it, outweigh the step of all others."""
+    x, later = measured.table["x"].to_numpy(copy=True), np.arange(len(measured)) >= 41
+    x[[3, 55]] *= [1000, -10]
+    (fault,) = examined(with_columns(measured, x=x, q2=measured.table["q2"] - later * np.deg2rad(1)))[1]
+    assert (fault.cause, fault.joint) == ("zero-changed", 2)
+    assert f"from line {measured.table['line'][41]} on the readings of joint 2 are 1 deg too small" in fault.statement
 
 
 def test_gravity_that_acts_otherwise_than_stated(measured):

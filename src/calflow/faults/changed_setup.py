@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
-from operator import itemgetter
+from operator import attrgetter, itemgetter
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from calflow.robot.mechanism import Row
 MIN_SHIFT = 5e-3  # m: smaller shifts are causes, as of a bumped device or a compliant tool
 MIN_ROWS, PLACING = 5, 3  # least rows on either side of a change, and fitted ones in each frame
 MAX_ROWS = 3000  # largest number of rows tried as a change
+ALONE = 3.0  # least error of a row off by itself, over that of as many rows as a change concerns
 HALVED = 0.5  # largest share of the squared errors left by a change worth a fit
 FITTED = 4  # largest number of mistakes in some rows that are fitted
 SAME = 0.05  # share of rows below whose difference two subsets are the same
@@ -79,9 +80,13 @@ def loads_late(data: Measurements, as_read: FittedSetup) -> Iterator[Mistake]:
 
 
 def _judged_rows(data: Measurements, as_read: FittedSetup) -> Setup:
-    """Return the set-up at the rows, held out or not, at which a change is sought."""
-    rows = np.flatnonzero(data.train | data.held_out)
-    return as_read.setup.at(data, spaced(rows, MAX_ROWS))
+    """Return the set-up at the rows, held out or not, at which a change is sought.
+
+    It is without rows that are off by themselves: a single one would outweigh a change of all others in sums of squares.
+    """
+    rows = spaced(np.flatnonzero(data.train | data.held_out), MAX_ROWS)
+    miss = _position_errors(as_read, as_read.setup.at(data, rows))
+    return as_read.setup.at(data, rows[~(miss > ALONE * np.sort(miss)[-MIN_ROWS:].min(initial=np.inf))])
 
 
 def _shifted_payloads(data: Measurements, rows: int, setup: Setup) -> Setup:
@@ -168,52 +173,69 @@ def _position_errors(explanation: FittedSetup, setup: Setup) -> np.ndarray:
     return lengths(setup.position - explanation.fit.predicted(setup.conditions))
 
 
+@dataclass(frozen=True)
+class JointStep:
+    """A step of a joint's (from 0) readings from a row on [rad or m], and the squared residuals that it leaves [m²]."""
+
+    joint: int
+    first: int
+    size: float
+    left: float
+
+    def undone(self, later: bool, setup: Setup) -> Setup:
+        """Return a set-up without it: the readings from its row on, or those before, are corrected."""
+        there = (setup.numbers >= self.first) == later
+        return setup.with_reading(
+            self.joint, setup.conditions[self.joint] + (self.size if later else -self.size) * there
+        )
+
+
 def _joint(data: Measurements, as_read: FittedSetup, some: Setup) -> Iterator[Mistake]:
     """Yield the joint whose zero changes at some row, by remastering or a lost encoder count."""
-    steps: list[tuple[float, int, int]] = []
-    for joint in data.robot.driven:
-        error, lever = _joint_residuals(as_read, some, joint)
-        along, square = (error * lever).sum(axis=1).cumsum(), (lever**2).sum(axis=1).cumsum() + SMALL
-        left = float((error**2).sum()) - along**2 / square - (along[-1] - along) ** 2 / (square[-1] - square + SMALL)
-        if (first := _change(some, left, float(left[-1]))) is not None:
-            steps.append((float(left[MIN_ROWS - 1 : -MIN_ROWS].min()), joint, first))
+    steps = [found for joint in data.robot.driven if (found := _step(as_read, some, some, joint))]
     if not steps:
         return
-    _, joint, first = min(steps)
-    step, explanation, later = 0.0, as_read, as_read.setup.numbers >= first
-    if later.all() or not later.any():  # no fit has rows of both sides
-        return
-    off = bool(level(as_read.error[later]) > level(as_read.error[~later]))  # whether the later rows are off
+    step = min(steps, key=attrgetter("left"))
+    miss, later = _position_errors(as_read, some), some.numbers >= step.first
+    off = bool(level(miss[later]) > level(miss[~later]))  # whether the later rows are off
     for _ in range(ROUNDS):
-        error, lever = _joint_residuals(explanation, explanation.setup, joint)
-        along, square = (error * lever).sum(axis=1), (lever**2).sum(axis=1)
-        here, there = (float(along[part].sum() / (square[part].sum() + SMALL)) for part in (later, ~later))
-        step += here - there
-        undo = partial(_stepped, joint, first, step, off)
-        explanation = undo(as_read.setup).fitted
-        if abs(here - there) < SMALL:
+        explanation, before = step.undone(off, as_read.setup).fitted, step
+        step = _step(explanation, some, step.undone(off, some), step.joint) or step
+        if step.first == before.first and abs(step.size - before.size) < SMALL:
             break
-    unit, factor = data.robot.joints[joint].shown
+    unit, factor = data.robot.joints[step.joint].shown
     words = (
-        f"from line {data.table['line'].iloc[first]} on the readings of joint {joint + 1} are {abs(factor * step):.2g} {unit} too "
-        f"{'small' if step > 0 else 'large'} against the rows before: it was remastered, or its encoder lost count"
+        f"from line {data.table['line'].iloc[step.first]} on the readings of joint {step.joint + 1} are "
+        f"{abs(factor * step.size):.2g} {unit} too {'small' if step.size > 0 else 'large'} against the rows before: it was "
+        "remastered, or its encoder lost count"
     )
-    remedy = f"add {factor * step:.4g} {unit} to them in the measurement file, or subtract it from the others"
-    yield Mistake(
-        "zero-changed", joint + 1, undo, words, LOG_ODDS + ARBITRARY - np.log(len(left)), where=SET_UP, remedy=remedy
-    )
+    remedy = f"add {factor * step.size:.4g} {unit} to them in the measurement file, or subtract it from the others"
+    undo, log_prior = partial(step.undone, off), LOG_ODDS + ARBITRARY - np.log(len(miss))
+    yield Mistake("zero-changed", step.joint + 1, undo, words, log_prior, where=SET_UP, remedy=remedy)
+
+
+def _step(explanation: FittedSetup, some: Setup, undone: Setup, joint: int) -> JointStep | None:
+    """Return the step of a joint that leaves least, or None where it explains too little.
+
+    undone are the same rows with readings at which the explanation is linearised.
+    """
+    error, lever = _joint_residuals(explanation, undone, joint)
+    error = error + lever * (undone.conditions[joint] - some.conditions[joint])[:, None]
+    along, square = (error * lever).sum(axis=1).cumsum(), (lever**2).sum(axis=1).cumsum() + SMALL
+    later, later_square = along[-1] - along, square[-1] - square + SMALL
+    left = float((error**2).sum()) - along**2 / square - later**2 / later_square
+    first = _change(some, left, float(left[-1]))
+    if first is None:
+        return None
+    end = int(np.searchsorted(some.numbers, first)) - 1
+    size = float(later[end] / later_square[end] - along[end] / square[end])
+    return JointStep(joint, first, size, float(left[end]))
 
 
 def _joint_residuals(explanation: FittedSetup, setup: Setup, joint: int) -> tuple[np.ndarray, np.ndarray]:
     """Return position residuals [m], and their derivatives by a joint [m/rad], each (n_rows, 3)."""
     error = setup.position - explanation.fit.predicted(setup.conditions)
     return np.nan_to_num(error), np.nan_to_num(explanation.fit.moved(setup.conditions, joint, SMALL) / SMALL)
-
-
-def _stepped(joint: int, first: int, step: float, later: bool, setup: Setup) -> Setup:
-    """Return the set-up with a step of a joint's readings removed, from a row on or before it."""
-    there = (setup.numbers >= first) == later
-    return setup.with_reading(joint, setup.conditions[joint] + (step if later else -step) * there)
 
 
 def _device(data: Measurements, as_read: FittedSetup, some: Setup, sums: np.ndarray) -> Iterator[Mistake]:
