@@ -171,7 +171,7 @@ def test_a_search_begins_once_from_each_set_of_causes(monkeypatch, data, found):
     )
     causes, searches = extended.fitted.causes[:found], []
     again = replace(extended, fitted=extended.fitted.with_causes(causes), findings=extended.findings[:found])
-    monkeypatch.setattr(extension_module, "_weakest", lambda fitted, against: next(iter(fitted.causes), None))
+    monkeypatch.setattr(extension_module, "_weakest", lambda fitted, *more: next(iter(fitted.causes), None))
     monkeypatch.setattr(extension_module, "_searched", lambda _, beside, *more: searches.append(beside.causes) or again)
     catalogue_ = Catalogue.of(data, ("geometry",), TESTED)
     basis = BackgroundBasis.of(start(data))

@@ -144,13 +144,14 @@ def extended_model(diagnosis: Diagnosis, calibrated: CalibratedModel, data: Meas
     identified = CalibratedModel(**kept | {"alternatives": diagnosis.alternatives, "field": None})
     if (final := diagnosis.final) is None:
         return identified
+    grown = diagnosis.growth
     return replace(
         identified,
         model=final.model,
         estimate=final.fit.estimate,
         covariance=final.covariance,
         at_bound=final.fit.at_bound,
-        device=series_noise(_noise(final, calibrated, data), _growth(diagnosis)),
+        device=series_noise(_noise(final, calibrated, data), (grown.floor, grown.slope) if grown else None),
         discrepancy=final.noise.discrepancy,
         loss=final.loss,
         errors=final.errors,
@@ -197,10 +198,6 @@ def _noise(final: Fitted, calibrated: CalibratedModel, data: Measurements) -> No
         if source == "estimated":
             sigma[noise.of_series(k)] = np.median(final.noise.sigma[final.noise.of_series(k)])
     return replace(noise, sigma=sigma)
-
-
-def _growth(diagnosis: Diagnosis) -> tuple[float, float] | None:
-    return (diagnosis.growth.floor, diagnosis.growth.slope) if diagnosis.growth else None
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # an arm's matrices are too small for threads to pay

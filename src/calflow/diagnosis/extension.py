@@ -410,12 +410,10 @@ def weighed(
     searched, offered = set[frozenset[Cause]](), set[frozenset[Cause]]()
     while True:
         now, n_causes = replace(now, fitted=beside_background(now.fitted, basis)), len(now.fitted.causes)
-        against = unnamed(now.fitted, basis, catalogue.variants, _named_by_its_family)
-        while weakest := _weakest(now.fitted, against):
+        while weakest := _weakest(now.fitted, basis, catalogue.variants):
             say(f"{words(weakest)} gives way to an unexplained error")
             fewer = now.fitted.with_causes([cause for cause in now.fitted.causes if cause != weakest])
             now = replace(now, fitted=fewer)
-            against = unnamed(now.fitted, basis, catalogue.variants, _named_by_its_family)
         held = frozenset(now.fitted.causes)
         if len(held) < n_causes:
             now = replace(now, fitted=beside_background(now.fitted, basis))
@@ -464,13 +462,12 @@ def _named_instead(
     return trial.finest(best).cause if best and best.cause.id in kin else None
 
 
-def _named_by_its_family(cause: Cause) -> Collection[str]:
-    """Return the inputs along which no unnamed error replaces a cause: there it would be another member of its family."""
-    return cause.effect.named_in()
+def _weakest(fitted: Fitted, basis: BackgroundBasis, variants: Variants) -> Cause | None:
+    """Return the weakest cause that loses against a background, or else that does not carry over, if there is one.
 
-
-def _weakest(fitted: Fitted, against: dict[Cause, float]) -> Cause | None:
-    """Return the weakest cause that loses against a background, or else that does not carry over, if there is one."""
+    Along the inputs of which its family is a general smooth function, no unnamed error replaces it: that would be another member.
+    """
+    against = unnamed(fitted, basis, variants, lambda cause: cause.effect.named_in())
     weakest = min(against, key=lambda cause: against[cause], default=None)
     if weakest is None or against[weakest] < 0:
         return weakest

@@ -92,7 +92,7 @@ def confirm(calibrated: Fitted, other: Measurements) -> Confirmation:
     other = other.on(robot)
     train = other.only(other.train)
     causes = [cause for cause in calibrated.causes if _is_curve(cause)]
-    plain = tuple(_on(effect, train) for effect in calibrated.plain)
+    plain = tuple(replace(effect, robot=robot) for effect in calibrated.plain)
     matching = [matched for cause in causes if (matched := _matched(cause, train)) is not None]
     noise = measured_noise(other, nominal=Model(robot, (), other.given, observed)).only(other.train)
 
@@ -139,10 +139,6 @@ def _is_curve(cause: Cause) -> bool:
     state, row = State.symbols(cause.robot), Row.symbols(cause.robot)
     terms = ca.vertcat(*(term.value for term in cause.effect.terms(cause.joint - 1, state, row)))
     return all(symbol.name() == state.q[cause.joint - 1].name() for symbol in ca.symvar(terms))
-
-
-def _on(effect: Effect, data: Measurements) -> Effect:
-    return replace(effect, robot=data.robot)
 
 
 def _matched(cause: Cause, data: Measurements) -> Cause | None:
