@@ -165,6 +165,8 @@ SUSPECTED = Finding(
     status="unexplained", statement="", inputs=("q2",), **Finding.of_rivals([NamedCause("gear-ratio-error", 2)])
 )
 MISFIT = Finding(status="unexplained", statement="")
+CAUSE = Finding(status="named", cause="joint-backlash", joint=2, statement="")
+NEAR = to_frame([CandidateRow(cause="link-mass", joint=3, p_family=0.02, delta_bic=-9.0)], CandidateRow)
 UNREPEATED = Finding(status="unexplained", statement="", inputs=("pose", "q3", "q2"), detail="0.1 mrad")
 
 
@@ -282,15 +284,21 @@ SPEAKS: list[tuple[Rule, Mapping[str, object], int, str]] = [
      "a little worse"),
     (usability.makes_it_worse, {"diagnose/accuracy.csv": accuracies(holdout=0.07), **lost(0.1, -0.05, -0.02)}, 2, "by chance"),
     (ranked.look_for_structure, {"diagnose/findings.csv": found("unexplained")}, 2,
-     "depends on the angle of joint 2. No known cause"),
+     "depends on the angle of joint 2. Nothing that was tested explains it. Before"),
+    (ranked.look_for_structure, {"diagnose/findings.csv": found("unexplained"), "diagnose/candidates.csv": NEAR}, 2,
+     "Nothing that was tested explains it for certain (mass error of link 3 comes nearest). Before"),
+    (ranked.look_for_structure, {**diagnosed(), "diagnose/findings.csv": to_frame([MISFIT, CAUSE], Finding),
+                                 "diagnose/candidates.csv": NEAR}, 2, "nothing that was tested explains it. Measure"),
     (ranked.look_for_structure, {"diagnose/findings.csv": to_frame([SUSPECTED], Finding)}, 2,
      "It may be gear ratio error of joint 2; these poses do not show it clearly. Before"),
-    (ranked.look_for_structure, {**diagnosed(), "diagnose/findings.csv": to_frame([MISFIT], Finding), "diagnose/candidates.csv":
-        to_frame([CandidateRow(cause="link-mass", joint=3, p_family=0.02, delta_bic=-9.0)], CandidateRow)}, 2,
+    (ranked.look_for_structure, {**diagnosed(), "diagnose/findings.csv": to_frame([MISFIT], Finding),
+                                 "diagnose/candidates.csv": NEAR}, 2,
      "nothing that was tested explains it for certain (mass error of link 3 comes nearest)"),
     (ranked.look_for_structure, {"diagnose/findings.csv": to_frame([UNREPEATED], Finding), "diagnose/candidates.csv":
         candidates("approach")}, 2, "too short for these poses: by 0.1 mrad. Note the side"),
     (ranked.look_for_structure, {"diagnose/findings.csv": to_frame([UNREPEATED], Finding)}, 2, "Look at its gear"),
+    (ranked.look_for_structure, {"diagnose/findings.csv": to_frame([UNREPEATED], Finding), "diagnose/candidates.csv":
+        candidates("gear_ratio")}, 2, "Look at its gear and its brake, or approach every pose from the same side. State"),
     (ranked.advised_poses, {"diagnose/next_poses.csv": poses(3)}, 3,
      "the 3 poses of diagnose/next_poses.csv that distinguish backlash"),
     (ranked.advised_poses, {"diagnose/next_poses.csv": poses(3, (("joint-hysteresis", 2), ("link-mass", 3)))}, 3,

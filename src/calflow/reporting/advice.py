@@ -248,15 +248,17 @@ def look_for_structure(outcome: RunOutcome) -> list[Advice]:
     if not outcome.unexplained:
         return _look_there(outcome) if outcome.lack_of_fit_words else []
     if at_rest := [finding for finding in outcome.unexplained if finding.unrepeated]:
-        sides, first = NEEDS["approach"], at_rest[0]
-        unknown = any(row.asked == ("approach",) for row in outcome.candidates)
-        do = f"Note {sides.plain}" if unknown else "Look at its gear and its brake"
+        sides, ratios, first = NEEDS["approach"], NEEDS["gear_ratio"], at_rest[0]
+        asked = {row.asked for row in outcome.candidates}
+        unknown = [need for name, need in (("approach", sides), ("gear_ratio", ratios)) if (name,) in asked]
+        do = f"Note {sides.plain}" if sides in unknown else "Look at its gear and its brake"
+        waves = f" State {ratios.plain}: waves of the motor's turns can then be found." if ratios in unknown else ""
         sentence = f"{first_up(first.unrepeated)} {RESTS}: by {first.detail}. {do}, or approach every "
-        return advise(2, sentence + "pose from the same side.", keys=sides.words if unknown else "")
+        return advise(2, f"{sentence}pose from the same side.{waves}", keys="; ".join(need.words for need in unknown))
     left = outcome.unexplained
     suspects = next((finding.suspects for finding in left if finding.suspects), "")
     may_be = f"{'It' if len(left) == 1 else 'A part of it'} may be {suspects}; these poses do not show it clearly"
-    why = may_be if suspects else "No known cause explains it"
+    why = may_be if suspects else f"Nothing that was tested explains it{_nearest(outcome)}"
     sentence = (
         f"An error remains that depends on {outcome.structure}. {why}. Before you measure again, look for what changes with it: "
         "hoses and cables, loose bolts, collisions, the instrument's support."
@@ -268,14 +270,22 @@ def _look_there(outcome: RunOutcome) -> list[Advice]:
     """Return the advice on a lack of fit that depends on no input."""
     worst = outcome.diagnosis_summary.worst
     where = f"where {worst.where}" if worst else "at the poses with the largest errors"
-    near = [row for row in outcome.candidates if row.p_family < SUGGESTIVE]
-    nearest = min(near, key=lambda row: row.delta_bic, default=None)
-    surely = f" for certain ({place_name(nearest.cause, nearest.joint, nearest.part)} comes nearest)" if nearest else ""
     sentence = (
-        f"More is left than noise, and nothing that was tested explains it{surely}. Measure again {where}, coming back to some "
-        "poses from elsewhere. What repeats is the robot's; what does not is the instrument's or the set-up's."
+        f"More is left than noise, and nothing that was tested explains it{_nearest(outcome)}. Measure again {where}, coming "
+        "back to some poses from elsewhere. What repeats is the robot's; what does not is the instrument's or the set-up's."
     )
     return advise(2, sentence, keys="" if worst else "diagnose/residuals.csv has the errors", poses=REPEATS)
+
+
+def _nearest(outcome: RunOutcome) -> str:
+    """Return which significant candidate is most probable, in words; empty where there is none.
+
+    Empty also where a cause was found: the candidates were screened before, when what it explains made others significant too.
+    """
+    found = any(finding.is_cause for finding in outcome.findings)
+    near = [row for row in outcome.candidates if row.p_family < SUGGESTIVE and not found]
+    nearest = min(near, key=lambda row: row.delta_bic, default=None)
+    return f" for certain ({place_name(nearest.cause, nearest.joint, nearest.part)} comes nearest)" if nearest else ""
 
 
 def untested(outcome: RunOutcome) -> list[Advice]:
