@@ -88,6 +88,11 @@ def test_poses_are_chosen_for_a_calibration(points):
     for name, message in refused.items():
         with pytest.raises(cf.InputError, match=message):
             calibration.select(25, candidates=300, **{name: "tol"})
+    with pytest.raises(cf.InputError, match=r"stated: expected joint readings of shape \(n, 3\), found \(30, 5\)"):
+        calibration.select(25, stated=np.zeros((30, 5)))
+    for draw in (calibration.select, calibration.sample, calibration.diagnose, calibration.with_residual_field):
+        with pytest.raises(cf.InputError, match="seed: expected a number greater than or equal to 0, found -1"):
+            draw(seed=-1)
     again = calibration.select(25, payload="full", candidates=300)
     assert again.poses.equals(chosen.poses)
 
@@ -108,6 +113,13 @@ def test_wrong_requests_are_refused_together(points):
     with pytest.raises(cf.InputError) as refused:
         cf.identify(robot, rows.split(), effects=["geometry", "joint-slack"], count={"geometri": 3, "geometry": -1})
     assert [problem.key for problem in refused.value.problems] == ["effects[2]", "count: geometri", "count: geometry"]
+    with pytest.raises(cf.InputError, match=r"count: geometry: expected a count from 0 to \d+, .* found 2\.5"):
+        cf.identify(robot, rows.split(), effects=["geometry"], count={"geometry": 2.5})
+    for seed in (-1, 2**40):
+        with pytest.raises(cf.InputError, match="seed: expected a number"):
+            cf.identify(robot, rows.split(), seed=seed)
+        with pytest.raises(cf.InputError, match="seed: expected a number"):
+            rows.split(seed=seed)
 
 
 def test_without_arviz_it_says_what_to_install(points):

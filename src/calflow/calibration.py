@@ -87,7 +87,7 @@ from calflow.faults.outlier import odd_rows
 from calflow.files.deferred import pd
 from calflow.files.problems import InputError, Problem, refuse, refuse_any, run_checks
 from calflow.files.tables import Results, as_declared, missing_columns, to_document, to_frame, write_results
-from calflow.files.toml import Confidence, Count, FalseAlarm, Positive, as_annotated, checked_arguments
+from calflow.files.toml import Confidence, Count, FalseAlarm, Positive, Seed, as_annotated, checked_arguments
 from calflow.files.units import METRE
 from calflow.files.words import plural
 from calflow.files.writing import inside
@@ -318,7 +318,7 @@ class Calibration(CalibratedModel, RunOutcome):
         catalogue: Sequence[str | type[Effect]] = (),
         leave_out: Sequence[str | type[Effect]] = (),
         confirm: Study | None = None,
-        seed: int | None = None,
+        seed: Seed | None = None,
         say: Say = nobody,
         advance: Advance = nobody,
     ) -> Calibration:
@@ -451,7 +451,8 @@ class Calibration(CalibratedModel, RunOutcome):
         )
         return replace(exported, notes=(*lost, *exported.notes))
 
-    def with_residual_field(self, *, seed: int | None = None, say: Say = nobody) -> Calibration:
+    @checked_arguments
+    def with_residual_field(self, *, seed: Seed | None = None, say: Say = nobody) -> Calibration:
         """Return the calibration with a residual field, a smooth, non-physical correction fitted to training residuals.
 
         The field is left out if it gains nothing at training poses held out of its fit.
@@ -478,7 +479,7 @@ class Calibration(CalibratedModel, RunOutcome):
         walkers: int | None = STANDARD.walkers,
         block: int = STANDARD.block,
         independent: float = STANDARD.independent,
-        seed: int | None = None,
+        seed: Seed | None = None,
         say: Say = nobody,
     ) -> Posterior:
         """Return samples of the parameters' posterior distribution.
@@ -520,7 +521,7 @@ class Calibration(CalibratedModel, RunOutcome):
         refine: bool = False,
         order: Order = "short",
         drift: Positive = USUAL_DRIFT,
-        seed: int | None = None,
+        seed: Seed | None = None,
         say: Say = nobody,
     ) -> Selection:
         """Return optimal poses for estimating its parameters, to be measured like its first series.
@@ -633,7 +634,7 @@ def identify(
     starts: Count = 3,
     loss: Loss = "linear",
     noise: NoiseSource = "auto",
-    seed: int = 1,
+    seed: Seed = 1,
     title: str = "",
     count: Mapping[str, int] | None = None,
     say: Say = nobody,

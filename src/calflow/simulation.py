@@ -16,7 +16,7 @@ from calflow.design.planned import stated_poses
 from calflow.effects.base import unmet
 from calflow.files.deferred import pd
 from calflow.files.problems import InputError, Problem, nearest, refuse_any, run_checks, truncated
-from calflow.files.toml import FileModel, Length, Lengths3, Origin, Unit, read_toml
+from calflow.files.toml import FileModel, Length, Lengths3, Origin, Seed, Unit, read_toml
 from calflow.files.units import LARGEST, spellings
 from calflow.model import Model, build
 from calflow.robot.mechanism import reading_columns, shown_readings
@@ -57,7 +57,7 @@ class Truth(FileModel):
 
     robot: str
     effects: Effects
-    seed: int = Field(ge=0)
+    seed: Seed
     repeats: int = Field(default=1, ge=1)
     approach: bool = False
     payloads: tuple[str, ...] = ()

@@ -34,6 +34,7 @@ from calflow.files.toml import (
     FileModel,
     Length,
     Origin,
+    Seed,
     Unit,
     parse_toml,
     read_toml,
@@ -148,7 +149,7 @@ class StudyFile(FileModel):
     title: str = ""
     robot: str
     workflow: str = "calibrate"
-    seed: int = Field(ge=0)
+    seed: Seed
     effects: Effects = ("geometry", "joint-compliance")
     parameters: dict[str, dict[str, Any]] = {}
     measurements: OneOrSeveral = None

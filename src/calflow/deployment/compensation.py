@@ -31,7 +31,7 @@ from calflow.estimation.noise import members
 from calflow.files.deferred import Rotation, pd
 from calflow.files.problems import MOST_TOLD, Problem, nearest, refuse, refuse_any
 from calflow.files.tables import column, typed
-from calflow.files.toml import checked_arguments
+from calflow.files.toml import Seed, checked_arguments
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import approach_and_travel, numbered
 from calflow.model import Model, SymbolicPrediction, over_rows
@@ -583,7 +583,7 @@ class Compensation:
 def compensate(
     calibrated: CalibratedModel, targets: ArrayLike, *, start: ArrayLike | None = None,
     payload: str | Sequence[str] | None = None, marker: str | Sequence[str] | None = None, in_order: bool = False,
-    missing: Missing = "refuse", seed: int = 1, **conditions: ArrayLike,
+    missing: Missing = "refuse", seed: Seed = 1, **conditions: ArrayLike,
 ) -> Compensation:  # fmt: skip
     """Return joint readings with which the marker lands on the targets (see `compensate_rows`).
 

@@ -35,7 +35,7 @@ from calflow.design.t_optimality import TCriterion, propose
 from calflow.estimation.calibrated_model import CalibratedModel, shared_errors
 from calflow.files.problems import InputError, refuse
 from calflow.files.tables import StoredResults, column
-from calflow.files.toml import FalseAlarm, checked_arguments
+from calflow.files.toml import FalseAlarm, Seed, checked_arguments
 from calflow.files.words import rounded
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import READINGS, reading_columns, shown_readings
@@ -300,7 +300,7 @@ def drift(
     *,
     false_alarm: FalseAlarm = FALSE_ALARM,
     station: Station = "auto",
-    seed: int = 1,
+    seed: Seed = 1,
 ) -> Drift:
     """Test whether anything has moved since a robot was calibrated.
 

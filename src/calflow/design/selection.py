@@ -202,6 +202,9 @@ def select(
 
 def _candidates(model: Model, request: SelectionRequest, rng: Draws, say: Say) -> np.ndarray:
     """Return candidate joint readings (n, n_joints)."""
+    if request.stated is not None and request.stated.shape[1:] != (model.robot.n_joints,):
+        shape = f"(n, {model.robot.n_joints})"
+        raise refuse(f"expected joint readings of shape {shape}, found {request.stated.shape}", key="stated")
     readings = request.choice(model, request.planned.observation, rng("candidates"), say)
     if request.stated is not None and len(readings) < request.number:
         region, cell = ("," if request.cell else " and"), (" and cell" if request.cell else "")

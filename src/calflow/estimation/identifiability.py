@@ -142,7 +142,7 @@ def wrong_counts(robot: Robot, effects: Sequence[str], count: Mapping[str, int])
         most = len(build(robot, (effect,)).parameters) if effect in effects else 0
         if effect not in effects:
             yield effect, f"unknown effect '{effect}'{nearest(effect, effects)}; there are {', '.join(effects)}"
-        elif not 0 <= asked <= most:
+        elif asked not in range(most + 1):
             yield effect, f"expected a count from 0 to {most}, as many parameters as the effect has, found {asked}"
 
 
@@ -161,7 +161,7 @@ def best_subset(fit: Fit, count: Mapping[str, int]) -> pd.DataFrame:
             basis, _ = np.linalg.qr(scaled[:, kept])
             block = block - basis @ (basis.T @ block)
         order = scipy.linalg.qr(block, mode="economic", pivoting=True)[2]
-        kept[columns[order[:asked]]] = True
+        kept[columns[order[: int(asked)]]] = True
     both = zip(fit.model.parameters, kept, strict=True)
     rows = [Counted(effect=p.effect, parameter=p.name, kept=bool(keep)) for p, keep in both if p.effect in count]
     return to_frame(rows, Counted)

@@ -380,6 +380,7 @@ adapter: Callable[[Any], TypeAdapter[Any]] = cache(TypeAdapter)  # cached, since
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 Count = Annotated[int, Field(ge=1)]
+Seed = Annotated[int, Field(ge=0, le=10**9)]
 Positive = Annotated[float, Field(gt=0)]
 Confidence = Annotated[float, Field(ge=0.5, lt=1)]
 FalseAlarm = Annotated[float, Field(gt=0, lt=0.5)]

@@ -18,7 +18,7 @@ from pydantic import Field
 
 from calflow.files.deferred import Rotation, pd
 from calflow.files.problems import refuse
-from calflow.files.toml import checked_arguments
+from calflow.files.toml import Seed, checked_arguments
 from calflow.measurements.rows import (
     ANGLES,
     POSITION,
@@ -260,7 +260,7 @@ class Measurements:
         return replace(self, robot=robot)
 
     @checked_arguments
-    def split(self, holdout: Annotated[float, Field(ge=0, lt=1)] = 0.3, seed: int = 1) -> Measurements:
+    def split(self, holdout: Annotated[float, Field(ge=0, lt=1)] = 0.3, seed: Seed = 1) -> Measurements:
         """Return the rows with a random split by pose, stratified by payload and session; an explicit split stays.
 
         Args:
