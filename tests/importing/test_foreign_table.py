@@ -43,6 +43,7 @@ TITLES = {
     "t/ms": ("t", "ms"),
     "Winkel grad": ("Winkel", "deg"),
     "temp_k": ("temp", "K"),
+    "T/K": ("T", "K"),  # no time
     "z_min": ("z_min", ""),
     "pose_k": ("pose_k", ""),
     "theta 1": ("theta 1", ""),

@@ -36,7 +36,7 @@ UNIT = {
 TIMES = {"time", "t", "timestamp", "zeit", "stamp", "zeitstempel", "datetime", "date", "uhrzeit", "clock"}
 TEMPERATURES = {"temp", "temperature", "temperatur"}
 # Words of which a name must contain one for its last word to be this unit: `z_min` is a minimum, `pose_k` the k-th.
-QUANTITIES = {"min": TIMES, "s": TIMES, "k": TEMPERATURES}
+QUANTITIES = {"min": TIMES, "s": TIMES, "k": {*TEMPERATURES, "t"}}
 _BRACKETED = re.compile(r"[\[({<]\s*([^\])}>]+?)\s*[\])}>]")
 _FIGURE = re.compile(r"[+\-−]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?")
 _THOUSANDS = {".": re.compile(r"[+-]?\d{1,3}(,\d{3})+(\.\d+)?"), ",": re.compile(r"[+-]?\d{1,3}(\.\d{3})+(,\d+)?")}
