@@ -34,7 +34,15 @@ from blind_cases import UNITS, Unit
 import calflow as cf
 from calflow.design.planned import Planned, SelectionRequest
 from calflow.design.selection import select
-from calflow.design.separability import DRAWS_PER_CAUSE, RECORDS, ROOM, Place, Visits, chances, screened
+from calflow.design.separability import (
+    DRAWS_PER_CAUSE,
+    RECORDS,
+    ROOM_TEMPERATURE,
+    MeasuringPlan,
+    Place,
+    chances,
+    screened,
+)
 from calflow.diagnosis import FALSE_ALARM
 from calflow.diagnosis.diagnosis import search_causes
 from calflow.diagnosis.screening import Family, Screening
@@ -67,7 +75,7 @@ class Plan:
     """What will be measured of a robot, as stated and as built, and the tests of it."""
 
     seed: int
-    visits: Visits
+    plan: MeasuringPlan
     real: Robot
 
     @staticmethod
@@ -87,13 +95,13 @@ class Plan:
         asked = SelectionRequest(number=number, payload="full", planned=PLANNED, stated=stated)
         chosen = select(build(robot, EFFECTS, (), (PLANNED.observation,)), asked, rng=draws(seed))
         payloads = tuple(np.resize(np.array(loads), number).tolist())
-        visits = Visits(robot, chosen.readings, payloads, (next(iter(robot.markers)),), frozenset(records))
-        return Plan(seed, visits, worn(nominal, rng))
+        plan = MeasuringPlan(robot, chosen.readings, payloads, (next(iter(robot.markers)),), frozenset(records))
+        return Plan(seed, plan, worn(nominal, rng))
 
     @cached_property
     def screening(self) -> Screening[Cause]:
         """The tests of all causes, as the plan states them."""
-        return screened(EFFECTS, PLANNED, self.visits.measurements().split(0.0), self.rng("plan"))[0]
+        return screened(EFFECTS, PLANNED, self.plan.measurements().split(0.0), self.rng("plan"))[0]
 
     @cached_property
     def family(self) -> Family:
@@ -103,8 +111,8 @@ class Plan:
     @cached_property
     def rows(self) -> Rows:
         """What the robot does, for the simulator: joints from pose to pose without a halt, all else as the plan takes it."""
-        visits = replace(self.visits, records=frozenset(RECORDS))
-        table, q = visits.measurements().table, self.visits.readings
+        plan = replace(self.plan, records=frozenset(RECORDS))
+        table, q = plan.measurements().table, self.plan.readings
         came, far, time_, warm = (
             table[[name for name in table if name.startswith(kind)]].to_numpy(float)
             for kind in ("approach", "travel", "time", "temperature")
@@ -113,8 +121,10 @@ class Plan:
         for k in range(1, len(q)):
             way = np.sign(q[k] - q[k - 1])
             wound[k] = way + (wound[k - 1] - way) * np.exp(-np.abs(q[k] - q[k - 1]) / WIND_UP)
-        payload = np.array([PAYLOADS.index(name) for name in self.visits.payloads])
-        return Rows(q, payload, np.zeros(len(q), int), came, far, wound, time_[:, 0], warm[:, 0] - ROOM + COLD)
+        payload = np.array([PAYLOADS.index(name) for name in self.plan.payloads])
+        return Rows(
+            q, payload, np.zeros(len(q), int), came, far, wound, time_[:, 0], warm[:, 0] - ROOM_TEMPERATURE + COLD
+        )
 
     def rng(self, purpose: str) -> np.random.Generator:
         """A generator of a purpose's own."""
@@ -131,9 +141,9 @@ class Plan:
 
     def measurements(self, points: np.ndarray) -> Measurements:
         """The rows of the plan with what the device saw (n, 3) [m]."""
-        planned = self.visits.measurements().table
+        planned = self.plan.measurements().table
         return Measurements.from_arrays(
-            self.visits.robot, self.visits.readings, points, split="train", **_conditions(planned)
+            self.plan.robot, self.plan.readings, points, split="train", **_conditions(planned)
         )
 
 
@@ -162,7 +172,7 @@ class Hiding:
 
 def hiding(plan: Plan, rng: np.random.Generator) -> Hiding:
     """Draw a cause that the plan's tests show at its usual size or a few of them."""
-    units = [unit for unit in UNITS if plan.visits.records.issuperset(unit.columns)]
+    units = [unit for unit in UNITS if plan.plan.records.issuperset(unit.columns)]
     candidates = plan.screening.regressors.candidates
     matrix, sd = plan.screening.regressors.matrix, plan.screening.regressors.prior_sd
     while True:
@@ -221,7 +231,7 @@ def case(plan: Plan, k: int, rng: np.random.Generator) -> Iterator[dict[str, obj
             break
     started = time.process_time()
     data = plan.measurements(points + SIGMA * rng.standard_normal(points.shape))
-    known = cf.identify(plan.visits.robot, data, EFFECTS, starts=1)
+    known = cf.identify(plan.plan.robot, data, EFFECTS, starts=1)
     found = search_causes(known, data, rng=draws(int(rng.integers(2**31))))
     sets = [
         {verdict.finding.cause.place, *(rival.cause.place for rival in verdict.rivals if rival.cause)}
@@ -233,8 +243,8 @@ def case(plan: Plan, k: int, rng: np.random.Generator) -> Iterator[dict[str, obj
     for rival, chance in plan.stated(one.place, size, "isolability").items():
         right = own is not None and rival not in own
         yield {
-            "plan": plan.seed, "case": k, "robot": plan.visits.robot.name, "poses": len(plan.visits.readings),
-            "loads": len(set(plan.visits.payloads)), "records": len(plan.visits.records),
+            "plan": plan.seed, "case": k, "robot": plan.plan.robot.name, "poses": len(plan.plan.readings),
+            "loads": len(set(plan.plan.payloads)), "records": len(plan.plan.records),
             "cause": one.place[0], "part": one.place[1], "size": size, "moved_mm": 1e3 * moved, "off": one.off,
             "rival": rival[0] if rival else "", "rival_part": rival[1] if rival else "",
             "stated": chance, "right": right, "found": names, "seconds": seconds,

@@ -10,7 +10,7 @@ import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
 from calflow.design.cell import Box, Cell, CellStation, Cylinder, checked_pairs, standing_lines
-from calflow.design.skeleton import drawn_lines
+from calflow.design.skeleton import skeleton_lines
 from robots import ASKEW, industrial, pinocchio_model, ur10
 
 STATION = CellStation(
@@ -83,7 +83,7 @@ class Outside:
         chain = [np.zeros(3), *origins, flange.translation, tool.translation]
         radii = [*cell.radii(robot), cell.tool_radius]
         capsules = [capsule(a, b, r) for a, b, r in zip(chain[:-1], chain[1:], radii, strict=True)]
-        lines = drawn_lines(robot, robot.n_joints)
+        lines = skeleton_lines(robot, robot.n_joints)
         pairs = checked_pairs(cell, robot, lines)
         found = {"links": min(apart(capsules[i], capsules[j]) - cell.clearance for i, j in pairs)}
         frame = pin.SE3.Identity() if cell.frame == "base" else self.stands

@@ -11,7 +11,7 @@ from scipy.optimize import minimize_scalar
 import calflow as cf
 from calflow.design.candidates import allowed, candidates, packed_conditions
 from calflow.design.cell import RULES, Cell, CellStation, configuration
-from calflow.design.skeleton import Skeleton, between_segments, from_box
+from calflow.design.skeleton import Skeleton, box_distances, segment_distances
 from calflow.files.problems import InputError
 from calflow.model import build
 from collisions import BIG, CASES, Outside
@@ -87,8 +87,8 @@ def test_distances_are_the_least_along_the_segments():
         share = np.clip((point - start) @ way / max(way @ way, 1e-30), 0, 1)
         return np.linalg.norm(point - start - share * way)
 
-    lines = between_segments(a, b, c, d)
-    boxes = from_box(a, b, low, high)
+    lines = segment_distances(a, b, c, d)
+    boxes = box_distances(a, b, low, high)
     for start, end, other, far, line, from_it in zip(a, b, c, d, lines, boxes, strict=True):
 
         def to_line(t, start=start, way=end - start, other=other, far=far):

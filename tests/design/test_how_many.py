@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calflow.design.optimality import ToolError, information
-from calflow.design.worth import enough, knee, next_best
+from calflow.design.worth import knee, next_best, poses_for_tolerance
 
 PRIOR = np.eye(4)
 
@@ -30,7 +30,7 @@ def test_enough_is_enough_and_fewer_than_needed_are_not(case):
     jacobians, tool = case
     best = {n: min(loss(jacobians, tool, each) for each in combinations(range(10), n)) for n in range(1, 8)}
     for asked in (2, 4, 6):
-        number, needed = enough(jacobians, PRIOR, tool, 1.0001 * best[asked], np.random.default_rng(1))
+        number, needed = poses_for_tolerance(jacobians, PRIOR, tool, 1.0001 * best[asked], np.random.default_rng(1))
         assert number == asked
         assert needed <= asked
         assert all(best[n] > 1.0001 * best[asked] for n in range(1, needed))
@@ -41,8 +41,8 @@ def test_what_cannot_be_met_or_is_met_already(case):
     jacobians, tool = case
     everything = loss(jacobians, tool, range(10))
     rng = np.random.default_rng(1)
-    assert enough(jacobians, PRIOR, tool, 0.99 * everything, rng) == (None, None)
-    assert enough(jacobians, PRIOR, tool, 1.01 * tool.loss(PRIOR), rng) == (0, 0)
+    assert poses_for_tolerance(jacobians, PRIOR, tool, 0.99 * everything, rng) == (None, None)
+    assert poses_for_tolerance(jacobians, PRIOR, tool, 1.01 * tool.loss(PRIOR), rng) == (0, 0)
 
 
 def test_the_next_ten_are_the_best_that_are_left(case):

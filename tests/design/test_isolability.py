@@ -7,7 +7,14 @@ import pytest
 from scipy.stats import f as f_distribution
 
 from calflow.design.planned import Planned
-from calflow.design.separability import BUILT, Visits, chances, isolability, isolability_gaps, isolability_summary
+from calflow.design.separability import (
+    TYPICAL_ERROR,
+    MeasuringPlan,
+    chances,
+    isolability,
+    isolability_gaps,
+    isolability_summary,
+)
 from calflow.diagnosis.regressors import Candidate, Held, Regressors
 from calflow.diagnosis.screening import Family, Screening
 from calflow.linear import Block
@@ -18,7 +25,7 @@ from conftest import SMALL
 
 EFFECTS = ("geometry", "joint-compliance")
 POSES = 60
-RECORDED = "the side that each joint comes from recorded"
+RECORDED = "each joint's direction of approach recorded"
 
 
 @pytest.fixture(scope="module")
@@ -28,10 +35,10 @@ def planned(tmp_path_factory):
     path.write_text(SMALL["robot.toml"], encoding="utf-8")
     robot = Robot.from_toml(path)
     readings = np.random.default_rng(1).uniform(*robot.limits.T, (POSES, robot.n_joints))
-    visits = Visits(robot, readings, ("light",) * POSES, ("tool",))
+    plan = MeasuringPlan(robot, readings, ("light",) * POSES, ("tool",))
     device = Planned(Position.planned(Series()), 5e-5)
-    more = dict(visits.additions(readings[:0]))
-    return [isolability(EFFECTS, device, one, np.random.default_rng(2)) for one in (visits, more[RECORDED])]
+    more = dict(plan.additions(readings[:0]))
+    return [isolability(EFFECTS, device, one, np.random.default_rng(2)) for one in (plan, more[RECORDED])]
 
 
 def test_causes_known_to_be_alike_are_not_told_apart(planned):
@@ -57,7 +64,7 @@ def test_backlash_takes_the_side_that_joints_come_from(planned):
     (row,) = table[(table["cause"] == "joint-backlash") & table["worst"]].to_dict("records")
     assert (row["chance"], row["addition"]) == (0.0, RECORDED)
     assert row["chance_then"] > 0.9
-    assert "is not seen: it takes columns approach1" in row["words"]
+    assert "is not detected: it takes columns approach1" in row["words"]
     assert f"with {RECORDED} in 100 of 100 (joint1, joint2, joint3)" in row["words"]
     assert (table[table["worst"]]["words"] != "").all()
     sure = (table["cause"] == "gear-ratio-error") & (table["joint"] == 1)
@@ -115,7 +122,7 @@ def _simulated(matrices, sd, fitted, prior, left, single, number):
         for k in range(number):
             theta = rng.standard_normal(matrix.shape[1])
             theta *= sd[true] * np.sqrt(len(theta)) / np.linalg.norm(theta)
-            built = BUILT * prior * rng.standard_normal(fitted.shape[1])
+            built = TYPICAL_ERROR * prior * rng.standard_normal(fitted.shape[1])
             y[:, k] = fitted @ built + matrix @ theta + rng.standard_normal(len(fitted))
         without = _left(y, fitted, prior)
         cost, passes = {}, {}

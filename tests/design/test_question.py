@@ -11,7 +11,7 @@ import pytest
 
 from calflow.design import discrimination
 from calflow.design.candidates import packed_conditions
-from calflow.design.discrimination import THINNEST, NextPose, poses_table, question, separations_table
+from calflow.design.discrimination import LEAST_EXTENT, NextPose, poses_table, question, separations_table
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import Family
 from calflow.diagnosis.stepwise import Detection
@@ -101,7 +101,7 @@ def test_points_in_a_slab_do_not_end_the_search():
     assert told["separation_after_sd"].iloc[0] > told["separation_before_sd"].iloc[0]
     if len(poses):
         proposed = position(np.deg2rad(poses[[f"q{i + 1}_deg" for i in range(ROBOT.n_joints)]].to_numpy()))
-        assert np.ptp(proposed[:, 2]) < THINNEST + 0.01
+        assert np.ptp(proposed[:, 2]) < LEAST_EXTENT + 0.01
 
 
 def test_a_question_that_cannot_be_asked_is_said():
@@ -111,7 +111,7 @@ def test_a_question_that_cannot_be_asked_is_said():
     (row,) = told.to_dict("records")
     assert "reach the region" in row["unasked"]
     assert row["means"].startswith("measure in a wider region")
-    assert row["words"].startswith("no further poses could be looked for where it was measured")
+    assert row["words"].startswith("no further poses could be sought in the measured region")
     assert (row["rival"], row["proposed"], row["separation_after_sd"]) == ("joint-eccentricity", False, 0.0)
     assert poses.empty
     assert {column.name for column in columns(NextPose) if "{" not in column.name} <= set(poses)

@@ -109,7 +109,7 @@ def test_what_cannot_be_told_apart_is_said_with_what_would_tell(small: Context) 
     first, section = told(with_diagnosis(small, OR_HYSTERESIS, poses=0))
     assert "1. Backlash of joint 2 or hysteresis of joint 2" in section
     assert "Its name is not certain: hysteresis of joint 2 explains these data as well" in section
-    assert "No pose tells backlash from hysteresis in these data: log each joint's travel." in section
+    assert "No pose distinguishes backlash from hysteresis in these data: log each joint's travel." in section
     assert "Which is the cause: backlash of joint 2 or hysteresis of joint 2." in first
     assert "Is it backlash of joint 2 or hysteresis of joint 2? Log each joint's travel." in first
 

@@ -172,8 +172,8 @@ def test_a_cell_that_does_not_fit_the_robot_is_refused(small):
     small.edit("study.toml", ("poses = 8\n", f"poses = 8\n{wrong}\n"))
     said = "\n".join(small.refused())
     for words in (
-        "stages.select.cell.link_radii: expected 3 radii, one a joint, found 4",
-        "elbow and wrist are known of arms of six joints",
+        "stages.select.cell.link_radii: expected 3 radii, one per joint, found 4",
+        "elbow and wrist are defined only for arms with six",
         "needs masses and rated_torque",
     ):
         assert words in said

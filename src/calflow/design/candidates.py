@@ -20,20 +20,20 @@ from calflow.observations import Observation
 from calflow.robot.mechanism import reachable
 
 CONTACT_ROUNDS = 30
-MET = 1e-6  # m: tolerance of contact
+CONTACT_TOLERANCE = 1e-6  # m: tolerance of contact
 LONGEST_STEP = 0.3  # rad, or m
 LARGEST_DRAW = 1 << 15  # poses drawn at once
 ROUNDING = 1e-9  # rad or m
 MAX_DRAWS = 40  # rounds of sampling before the region counts as unreachable
-HARDER = 5  # factor of the number of rounds if there is a cell
+CELL_FACTOR = 5  # factor of the number of rounds if there is a cell
 
 
-def brought(
+def in_contact(
     model: Model, observation: Observation, readings: np.ndarray, conditions: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return readings (n, n_joints) near those given at which the nominal robot makes contact, and which do so, (n,).
+    """Return readings (n, n_joints) near given ones at which the nominal robot is in contact, and which converged, (n,).
 
-    conditions (n_conditions, n): packed, the readings first. Minimum-norm Gauss-Newton, over the surfaces in turn (see
+    conditions (n_conditions, n): packed, the readings first. Minimum-norm Gauss-Newton, cycling through the surfaces (see
     `Observation.touched`).
     """
     point = model.nominal
@@ -49,7 +49,7 @@ def brought(
         largest = np.maximum(np.abs(step).max(axis=1), 1e-12)
         conditions[:n] += (step * np.minimum(1.0, LONGEST_STEP / largest)[:, None]).T
     left = model.observed_error(observation, point, conditions, reported)
-    return conditions[:n].T, np.linalg.norm(left, axis=1) < MET
+    return conditions[:n].T, np.linalg.norm(left, axis=1) < CONTACT_TOLERANCE
 
 
 def candidates(
@@ -74,10 +74,10 @@ def candidates(
     """
     sobol = scipy.stats.qmc.Sobol(model.robot.n_joints, rng=rng)
     size = min(LARGEST_DRAW, 1 << int(np.ceil(np.log2(4 * number))))
-    rigid = replace(model, effects=(), observations=(), probes=())  # the nominal robot, at a fifth of the work
+    rigid = replace(model, effects=(), observations=(), probes=())  # the nominal robot, at a fifth of the cost
     kept: list[np.ndarray] = []
     refusals: list[np.ndarray] = []
-    rounds = MAX_DRAWS * max(1, number // size) * (HARDER if cell else 1)
+    rounds = MAX_DRAWS * max(1, number // size) * (CELL_FACTOR if cell else 1)
     for _ in range(rounds):
         drawn = scipy.stats.qmc.scale(sobol.random(size), *model.robot.limits.T)
         readings = drawn @ model.robot.angle_matrix.T
@@ -85,7 +85,7 @@ def candidates(
         angles = readings @ model.robot.reading_matrix.T
         good = model.robot.within_limits(angles, ROUNDING)
         if observation is not None and observation.touches:
-            readings, touching = brought(model, observation, readings, conditions)
+            readings, touching = in_contact(model, observation, readings, conditions)
             conditions = packed_conditions(model, readings, payload, marker)
             angles = readings @ model.robot.reading_matrix.T
             low, high = model.robot.limits.T  # one turn for a joint without limits, as drawn
@@ -112,7 +112,7 @@ def candidates(
     base = ", ".join(f"{1e3 * value:.0f}" for value in model.robot.base.origin)
     raise refuse(
         f"of {rounds * size} poses within the joint limits only {sum(map(len, kept))} {left}, {number} are needed: "
-        f"is the region within the robot's reach? It counts in the measuring frame, which has the base at ({base}) mm.{refused}"
+        f"is the region within the robot's reach? It is in the measuring frame, with the base at ({base}) mm.{refused}"
     )
 
 

@@ -12,13 +12,13 @@ import numpy as np
 from pydantic import Field as Rule
 from pydantic import model_validator
 
-from calflow.design.skeleton import Line, Skeleton, between_segments, drawn_lines, from_box, line_lengths
+from calflow.design.skeleton import Line, Skeleton, box_distances, line_lengths, segment_distances, skeleton_lines
 from calflow.files.toml import Angle, Length, Lengths3, Record, Unit
 from calflow.model import Model
 from calflow.robot.frames import placement_matrix
 from calflow.robot.robot import Robot
 
-USUAL_RADIUS = 0.04  # of a link, relative to the stretched arm: about that of the library's robots
+RELATIVE_RADIUS = 0.04  # of a link, relative to the stretched arm: typical of the library's robots
 TOUCHING = 1e-9  # m: distance below which a line intersects a body, by rounding
 BLOCK_POSES = 8192  # poses per block, to fit a processor's cache
 
@@ -27,13 +27,13 @@ BLOCK_POSES = 8192  # poses per block, to fit a processor's cache
 class CellStation(Record):
     """A table `[[stages.select.cell.stations]]`: a device that must see the reflector."""
 
-    origin: Annotated[Lengths3, Rule(description="where it stands in the measuring frame, e.g. `origin_mm`")]
-    range_min: Annotated[Length, Rule(ge=0, description="how near it measures, e.g. `range_min_m`")] = 0.0
-    range_max: Annotated[Length | None, Rule(gt=0, description="how far it measures")] = None
+    origin: Annotated[Lengths3, Rule(description="its position in the measuring frame, e.g. `origin_mm`")]
+    range_min: Annotated[Length, Rule(ge=0, description="least measuring distance, e.g. `range_min_m`")] = 0.0
+    range_max: Annotated[Length | None, Rule(gt=0, description="largest measuring distance")] = None
     elevation_min: Annotated[
-        Angle, Rule(description="how low it looks, from the horizontal (x and y of the measuring frame), e.g. `elevation_min_deg`")
+        Angle, Rule(description="least elevation above the horizontal (x and y of the measuring frame), e.g. `elevation_min_deg`")
     ] = -np.pi / 2  # fmt: skip
-    elevation_max: Annotated[Angle, Rule(description="how high it looks")] = np.pi / 2
+    elevation_max: Annotated[Angle, Rule(description="largest elevation")] = np.pi / 2
 
     @model_validator(mode="after")
     def _in_order(self) -> Self:
@@ -53,8 +53,8 @@ class CellStation(Record):
 class Box(Record):
     """A box aligned with the axes of its frame."""
 
-    min: Annotated[Lengths3, Rule(description="its least x, y and z, e.g. `min_mm`")]
-    max: Annotated[Lengths3, Rule(description="its largest x, y and z, e.g. `max_mm`")]
+    min: Annotated[Lengths3, Rule(description="least x, y and z, e.g. `min_mm`")]
+    max: Annotated[Lengths3, Rule(description="largest x, y and z, e.g. `max_mm`")]
 
     @model_validator(mode="after")
     def _in_order(self) -> Self:
@@ -67,8 +67,8 @@ class Box(Record):
 class Cylinder(Record):
     """A table `[[stages.select.cell.cylinders]]`: a capsule, which extends beyond either end by its radius."""
 
-    start: Annotated[Lengths3, Rule(description="where its axis begins, e.g. `start_mm`")]
-    end: Annotated[Lengths3, Rule(description="where its axis ends, e.g. `end_mm`")]
+    start: Annotated[Lengths3, Rule(description="start of its axis, e.g. `start_mm`")]
+    end: Annotated[Lengths3, Rule(description="end of its axis, e.g. `end_mm`")]
     radius: Annotated[Length, Rule(gt=0, description="its radius, e.g. `radius_mm`")]
 
 
@@ -87,47 +87,53 @@ class Cell(Record):
         tuple[CellStation, ...], Rule(description="tables: the devices that must see the reflector")
     ] = ()
     reflector_axis: Annotated[
-        tuple[float, float, float], Rule(description="where the reflector looks, in the flange's frame; its z")
+        tuple[float, float, float], Rule(description="axis of the reflector in the flange frame; its z")
     ] = (0.0, 0.0, 1.0)
     acceptance: Annotated[Angle | None, Rule(
-        gt=0, le=np.pi, description="how far off that axis a station may be: half the cone's opening, e.g. `acceptance_deg`",
+        gt=0, le=np.pi, description="largest angle between that axis and a station: half the cone's opening, e.g. `acceptance_deg`",
     )] = None  # fmt: skip
     line_of_sight: Annotated[
-        bool, Rule(description="whether links, boxes and cylinders may not stand between a station and the reflector")
+        bool,
+        Rule(
+            description="whether links, boxes and cylinders must not obstruct the line of sight from a station to the reflector"
+        ),
     ] = True
     sight_from: Annotated[
         Length,
-        Rule(ge=0, description="how far off the reflector a line of sight begins to count, e.g. `sight_from_mm`"),
+        Rule(
+            ge=0, description="distance from the reflector within which obstructions are ignored, e.g. `sight_from_mm`"
+        ),
     ] = 0.0
     link_radii: Annotated[Radii | None, Rule(
-        description="the links' radii, one a joint, e.g. `link_radii_mm`; 4 % of the stretched arm's length. The base has the "
-        "first one's, the bars of a loop the least",
+        description="radii of the links, one per joint, e.g. `link_radii_mm`; 4 % of the stretched arm's length. The base has the "
+        "first one, the bars of a loop the least",
     )] = None  # fmt: skip
     tool_radius: Annotated[
         Length | None,
         Rule(gt=0, description="radius of a capsule from the flange to the reflector, e.g. `tool_radius_mm`; no tool"),
     ] = None
     self_collision: Annotated[bool, Rule(
-        description="whether links may not touch each other: those that have a link between them longer than both radii",
+        description="whether links must not collide: those with a link between them longer than both radii",
     )] = True  # fmt: skip
     clearance: Annotated[
-        Length, Rule(ge=0, description="what links keep from each other and from what is drawn, e.g. `clearance_mm`")
+        Length,
+        Rule(ge=0, description="least distance of links from each other and from obstacles, e.g. `clearance_mm`"),
     ] = 0.0
     frame: Annotated[Literal["base", "measuring"], Rule(
-        description="the frame in which floor, boxes and cylinders are drawn: the `base`'s or the `measuring` one",
+        description="frame of floor, boxes and cylinders: `base` or `measuring`",
     )] = "base"  # fmt: skip
     floor: Annotated[
         Length | None,
-        Rule(description="height of the floor, e.g. `floor_mm`; it and the boxes do not count for base and first link"),
+        Rule(description="height of the floor, e.g. `floor_mm`; base and first link may touch it and the boxes"),
     ] = None
-    boxes: Annotated[tuple[Box, ...], Rule(description="tables: boxes that stand around")] = ()
-    cylinders: Annotated[tuple[Cylinder, ...], Rule(description="tables: cylinders that stand around")] = ()
+    boxes: Annotated[tuple[Box, ...], Rule(description="tables: boxes as obstacles")] = ()
+    cylinders: Annotated[tuple[Cylinder, ...], Rule(description="tables: cylinders as obstacles")] = ()
     configuration: Annotated[Angles | None, Rule(
-        description="readings of the six joints at a pose whose elbow and wrist are kept, e.g. `configuration_deg`",
+        description="readings of the six joints at a pose with the required sides of elbow and wrist, e.g. `configuration_deg`",
     )] = None  # fmt: skip
     torque_share: Annotated[
         float | None,
-        Rule(gt=0, description="how much of each joint's `rated_torque` the robot and its payload may take to hold"),
+        Rule(gt=0, description="largest static torque of robot and payload, as a share of each joint's `rated_torque`"),
     ] = None
 
     @model_validator(mode="after")
@@ -135,17 +141,17 @@ class Cell(Record):
         if not any(self.reflector_axis):
             raise ValueError("reflector_axis must not be zero")
         if self.acceptance is not None and not self.stations:
-            raise ValueError("acceptance needs a station to look at: a table [[stages.select.cell.stations]]")
+            raise ValueError("acceptance needs a station: a table [[stages.select.cell.stations]]")
         return self
 
     def wrong(self, robot: Robot) -> Iterator[tuple[str, str]]:
         """Yield each key that does not fit the robot, and why."""
         if self.link_radii is not None and len(self.link_radii) != robot.n_joints:
-            yield f"expected {robot.n_joints} radii, one a joint, found {len(self.link_radii)}", "link_radii"
+            yield f"expected {robot.n_joints} radii, one per joint, found {len(self.link_radii)}", "link_radii"
         arm = [robot.joints[i] for i in robot.arm]
         if self.configuration is not None:
             if not robot.is_one_arm or len(arm) != 6 or any(joint.kind != "revolute" for joint in arm):
-                yield "elbow and wrist are known of arms of six joints that turn", "configuration"
+                yield "elbow and wrist are defined only for arms with six revolute joints", "configuration"
             elif len(self.configuration) != 6:
                 yield f"expected 6 joint readings, found {len(self.configuration)}", "configuration"
         if self.torque_share is not None and not (robot.has_masses and any(joint.rated_torque for joint in arm)):
@@ -167,8 +173,8 @@ class Cell(Record):
         """Return the radius [m] of every link, the base first, shape (n_joints + 1,)."""
         if self.link_radii is None:
             lengths = line_lengths(robot)
-            reach = max(lengths[list(line.way)].sum() for line in drawn_lines(robot, 0)[:-1])
-            return np.full(robot.n_joints + 1, USUAL_RADIUS * reach)
+            reach = max(lengths[list(line.way)].sum() for line in skeleton_lines(robot, 0)[:-1])
+            return np.full(robot.n_joints + 1, RELATIVE_RADIUS * reach)
         return np.array([self.link_radii[0], *self.link_radii])
 
 
@@ -221,20 +227,20 @@ def _capsules(
         yield at.bars[:, k], at.bars[:, k + 1], cell.radii(robot).min()
 
 
-def _stands(robot: Robot) -> np.ndarray:
+def _base_pose(robot: Robot) -> np.ndarray:
     """Return the base's pose in the measuring frame (4, 4)."""
     return placement_matrix([*robot.base.origin, *robot.base.rotation])
 
 
-def _drawn(cell: Cell, robot: Robot, points: np.ndarray) -> np.ndarray:
+def _in_drawing(cell: Cell, robot: Robot, points: np.ndarray) -> np.ndarray:
     """Return points (n, 3) of the base frame in the frame of the drawing."""
-    stands = _stands(robot)
+    stands = _base_pose(robot)
     return points if cell.frame == "base" else points @ stands[:3, :3].T + stands[:3, 3]
 
 
 def _views(cell: Cell, robot: Robot, at: Skeleton) -> Iterator[tuple[CellStation, np.ndarray]]:
     """Yield each station, and the vectors (n, 3) from the reflector to it, in the base frame."""
-    stands = _stands(robot)
+    stands = _base_pose(robot)
     for station in cell.stations:
         yield station, (np.array(station.origin) - stands[:3, 3]) @ stands[:3, :3] - at.marker
 
@@ -242,13 +248,13 @@ def _views(cell: Cell, robot: Robot, at: Skeleton) -> Iterator[tuple[CellStation
 def _obstacles(cell: Cell, start: np.ndarray, end: np.ndarray) -> Iterator[np.ndarray]:
     """Yield the distances (n,) of segments from each drawn body except the floor, in the drawing's frame."""
     for box in cell.boxes:
-        yield from_box(start, end, np.array(box.min), np.array(box.max))
+        yield box_distances(start, end, np.array(box.min), np.array(box.max))
     for cylinder in cell.cylinders:
         ends = (np.broadcast_to(np.array(place), start.shape) for place in (cylinder.start, cylinder.end))
-        yield between_segments(start, end, *ends) - cylinder.radius
+        yield segment_distances(start, end, *ends) - cylinder.radius
 
 
-def _like(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) -> Iterator[np.ndarray]:
+def _same_configuration(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) -> Iterator[np.ndarray]:
     if cell.configuration is not None:
         readings = np.zeros((1, model.robot.n_joints))
         readings[:, model.robot.arm] = cell.configuration
@@ -256,7 +262,7 @@ def _like(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) -> Ite
         yield (configuration(model.robot, at) == kept).all(axis=1)
 
 
-def _carried(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) -> Iterator[np.ndarray]:
+def _torques_allowed(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) -> Iterator[np.ndarray]:
     if cell.torque_share is not None:
         rigid = Model(model.robot, (), model.given)
         (torque,) = rigid.figures("torque", lambda p, c, at: [at.state.torque], rigid.nominal, conditions)
@@ -271,54 +277,54 @@ def _in_range(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) ->
 
 
 def _at_elevation(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) -> Iterator[np.ndarray]:
-    up = _stands(model.robot)[2, :3]
+    up = _base_pose(model.robot)[2, :3]
     for station, way in _views(cell, model.robot, at):
         elevation = np.arcsin(np.clip(-way @ up / np.linalg.norm(way, axis=1).clip(1e-12), -1, 1))
         yield (elevation >= station.elevation_min) & (elevation <= station.elevation_max)
 
 
-def _accepted(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) -> Iterator[np.ndarray]:
+def _reflector_visible(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) -> Iterator[np.ndarray]:
     if cell.acceptance is not None:
         axis = at.flange @ (np.array(cell.reflector_axis) / np.linalg.norm(cell.reflector_axis))
         for _, way in _views(cell, model.robot, at):
             yield (axis * way).sum(axis=1) >= np.cos(cell.acceptance) * np.linalg.norm(way, axis=1)
 
 
-def _apart(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) -> Iterator[np.ndarray]:
+def _no_self_collision(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) -> Iterator[np.ndarray]:
     radii = _radii(cell, model.robot, at.lines)
     for i, j in checked_pairs(cell, model.robot, at.lines) if cell.self_collision else ():
-        apart = between_segments(*(at.nodes[:, node] for k in (i, j) for node in at.lines[k][:2]))
+        apart = segment_distances(*(at.nodes[:, node] for k in (i, j) for node in at.lines[k][:2]))
         yield apart > radii[i] + radii[j] + cell.clearance
 
 
-def _clear(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) -> Iterator[np.ndarray]:
+def _clear_of_obstacles(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) -> Iterator[np.ndarray]:
     robot = model.robot
     standing = standing_lines(robot, at.lines)
     for k, (start, end, radius) in enumerate(_capsules(cell, robot, at, at.lines)):
         if k not in standing:
-            a, b = _drawn(cell, robot, start), _drawn(cell, robot, end)
+            a, b = _in_drawing(cell, robot, start), _in_drawing(cell, robot, end)
             if cell.floor is not None:
                 yield np.minimum(a[:, 2], b[:, 2]) > cell.floor + radius + cell.clearance
             yield from (distance > radius + cell.clearance for distance in _obstacles(cell, a, b))
 
 
-def _seen(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) -> Iterator[np.ndarray]:
+def _unobstructed(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) -> Iterator[np.ndarray]:
     for _, way in _views(cell, model.robot, at) if cell.line_of_sight else ():
         length = np.linalg.norm(way, axis=1, keepdims=True).clip(1e-12)
         start, end = at.marker + way * np.minimum(1, cell.sight_from / length), at.marker + way
         for a, b, radius in _capsules(cell, model.robot, at, at.lines[:-1]):
-            yield between_segments(start, end, a, b) > radius
-        drawn = (_drawn(cell, model.robot, point) for point in (start, end))
+            yield segment_distances(start, end, a, b) > radius
+        drawn = (_in_drawing(cell, model.robot, point) for point in (start, end))
         yield from (distance > TOUCHING for distance in _obstacles(cell, *drawn))
 
 
 RULES: Mapping[str, Callable[[Cell, Model, np.ndarray, Skeleton], Iterator[np.ndarray]]] = {
-    "another configuration": _like,
-    "payload": _carried,
+    "another configuration": _same_configuration,
+    "payload": _torques_allowed,
     "range": _in_range,
     "elevation": _at_elevation,
-    "acceptance of the reflector": _accepted,
-    "links that touch each other": _apart,
-    "floor, boxes or cylinders": _clear,
-    "line of sight": _seen,
+    "acceptance of the reflector": _reflector_visible,
+    "links that touch each other": _no_self_collision,
+    "floor, boxes or cylinders": _clear_of_obstacles,
+    "line of sight": _unobstructed,
 }  # in the order of evaluation; each yields, for every body that it checks, which poses are allowed, (n,)

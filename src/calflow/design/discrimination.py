@@ -29,14 +29,14 @@ from calflow.observations import Observation
 from calflow.robot.mechanism import READINGS, reading_columns, shown_readings
 
 MOST_NEXT_POSES = 20
-THINNEST = 0.1  # m: least extent to which a measured region is widened, since poses are drawn at random
+LEAST_EXTENT = 0.1  # m: least extent of the region in which poses are drawn
 CANDIDATES = 600  # poses to choose from, for each payload
 MOST_CANDIDATES = 2400  # for all payloads together
 MOST_RIVALS = 6  # nearest rivals for which poses are sought, separating every pair
 ANY_MEANS = "another sensor or another load is needed"
 ENOUGH = 0.9  # probability of excluding a rival from which poses are worth measuring
-# Failures for which no poses are proposed: the causes were found, and only advice is lost.
-UNASKED = (InputError, ArithmeticError, np.linalg.LinAlgError, MemoryError)
+# Errors after which no poses are proposed: only advice is lost.
+SOUGHT_IN_VAIN = (InputError, ArithmeticError, np.linalg.LinAlgError, MemoryError)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,7 +103,7 @@ class Separation:
 
     def means(self, cause: Cause) -> str:
         """Return what to do at the robot if no pose separates cause and rival; empty if poses do."""
-        effect_type = effect_class(self.rival.id)  # what nobody can name is no effect of the catalogue
+        effect_type = effect_class(self.rival.id)  # None for an unnamed structure
         told_by = effect_type.told_by if effect_type else ""
         else_ = ". Or ".join(dict.fromkeys(filter(None, (cause.effect.told_by, told_by)))) or ANY_MEANS
         if self.unasked:
@@ -180,7 +180,7 @@ def question(
     rivals = [rival for rival in verdict.others if rival.score]
     asked, rest = rivals[:MOST_RIVALS], rivals[MOST_RIVALS:]
     untested += tuple(
-        Separation(rival, unasked=f"only the {MOST_RIVALS} nearest rivals are asked for") for rival in rest
+        Separation(rival, unasked=f"poses are sought for the {MOST_RIVALS} nearest rivals only") for rival in rest
     )
     if not asked:
         return Question(cause, untested)
@@ -188,7 +188,7 @@ def question(
         planned = planned_like(fitted, share)
         choices = among or _choices(fitted, planned.observation, rng)
         return _asked(verdict.finding, asked, untested, fitted, planned, choices)
-    except UNASKED as error:
+    except SOUGHT_IN_VAIN as error:
         wider = isinstance(error, InputError)
         reason = error.problems[0].message if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
         return Question(cause, tuple(Separation(rival, unasked=reason, wider=wider) for rival in asked) + untested)
@@ -258,10 +258,10 @@ def no_pose_words(cause: str, rival: str, after: float | None, unasked: str) -> 
     unasked: why no further poses could be sought.
     """
     if unasked:
-        return f"no further poses could be looked for where it was measured ({unasked})"
+        return f"no further poses could be sought in the measured region ({unasked})"
     if after is None:
-        return f"no pose tells {cause} from {rival} in these data"
-    return f"no {MOST_NEXT_POSES} poses with any payload known tell {cause} from {rival} ({after:.1f} sd after them)"
+        return f"no pose distinguishes {cause} from {rival} in these data"
+    return f"no {MOST_NEXT_POSES} poses with any known payload distinguish {cause} from {rival} ({after:.1f} sd after them)"
 
 
 def poses_table(questions: Sequence[Question], fitted: Fitted) -> pd.DataFrame:
@@ -330,7 +330,7 @@ def _choices(fitted: Fitted, observation: Observation, rng: np.random.Generator)
     data, model = fitted.data, fitted.model
     points = model.point(fitted.fit.estimate, data.conditions)
     region = np.array([points.min(axis=0), points.max(axis=0)])
-    thin = np.maximum(0.0, THINNEST - np.ptp(region, axis=0)) / 2
+    thin = np.maximum(0.0, LEAST_EXTENT - np.ptp(region, axis=0)) / 2
     region += np.array([-thin, thin])
     tables = []
     possible = list(dict.fromkeys([*data.table["payload"], *data.robot.payloads]))

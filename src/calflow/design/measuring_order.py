@@ -24,15 +24,15 @@ from calflow.model import Model
 from calflow.robot.robot import Robot
 
 BLOCK_POSES = 10  # poses of a block, drawn from all poses and ordered as a short tour
-DRAWN = 50  # random orders tried
-VIA_TURNS = (np.deg2rad(2.0), np.deg2rad(10.0))  # least and largest travel of a revolute joint from its via
+RANDOM_ORDERS = 50  # random orders tried
+VIA_TURNS = (np.deg2rad(2.0), np.deg2rad(10.0))  # least and largest travel of a revolute joint from the via
 SLIDES = (0.01, 0.05)  # m: the same of a prismatic joint
 TRIES = 20  # attempts at drawing sides for a pose before it gets no via
 
 
 def shortest_tour(readings: np.ndarray) -> np.ndarray:
     """Order poses for short travel: nearest neighbour, then 2-opt on the largest joint's motion; shape (n_poses,)."""
-    distance = np.abs(readings[:, None] - readings[None]).max(axis=2).tolist()  # lists: single figures are asked for
+    distance = np.abs(readings[:, None] - readings[None]).max(axis=2).tolist()  # lists: faster for single elements
     tour = [0]
     left = set(range(1, len(readings)))
     while left:
@@ -73,13 +73,13 @@ Drifting = Literal["device", "robot"]
 class DriftPull:
     """The effect of an unmodelled steady drift on the calibration, for one order of the poses."""
 
-    order: Order = column("in which the poses would be measured")
+    order: Order = column("measuring order of the poses")
     taken: bool = column("whether it is the order of poses.csv")
     travel: float = column("travel between poses relative to the short order, by the joint that moves most")
     drifting: Drifting = column(
-        "what drifts steadily: the `device`, all that it reports one way, the worst; or the `robot`, which grows from its base"
+        "what drifts steadily: the `device`, in its worst direction; or the `robot`, which expands from its base"
     )
-    drift_mm: float = column("its amount from the first pose to the last (of the robot: at the poses' mean)", "mm")
+    drift_mm: float = column("the drift from the first pose to the last (of the robot: at the poses' mean)", "mm")
     tool_pull_mm: float = column("resulting bias of the predicted tool position, root mean square over the task", "mm")
     parameter: str = column("the parameter with the largest bias")
     pull_sd: float = column("that bias", "of its standard deviations")
@@ -90,9 +90,9 @@ def orders(plan: PlanInformation, rng: np.random.Generator) -> dict[Order, np.nd
 
     Trend-robust orders: Daniel and Wilcoxon 1966. If no positions are measured, the first random order is taken.
     """
-    drawn = [random_blocks(plan.readings, rng) for _ in range(DRAWN if _told(plan) else 1)]
-    moved = displacements(plan) if _told(plan) else {}
-    steady = min(drawn, key=lambda order: max((pulled(plan, order, way)[0] for way in moved.values()), default=0.0))
+    drawn = [random_blocks(plan.readings, rng) for _ in range(RANDOM_ORDERS if _measures_positions(plan) else 1)]
+    moved = displacements(plan) if _measures_positions(plan) else {}
+    steady = min(drawn, key=lambda order: max((drift_bias(plan, order, way)[0] for way in moved.values()), default=0.0))
     return {"short": shortest_tour(plan.readings), "random": steady}
 
 
@@ -100,13 +100,13 @@ def drift_pulls(
     plan: PlanInformation, every: Mapping[Order, np.ndarray], taken: Order, drift: float
 ) -> list[DriftPull]:
     """Return the bias by a drift [m] in each order (n,) of the poses; none if no positions are measured."""
-    if not _told(plan):
+    if not _measures_positions(plan):
         return []
     short = max(travel(plan.readings[every["short"]]), np.finfo(float).tiny)
     pulls = []
     for name, order in every.items():
         for what, moved in displacements(plan).items():
-            tool, k, sd = pulled(plan, order, moved)
+            tool, k, sd = drift_bias(plan, order, moved)
             pulls.append(
                 DriftPull(order=name, taken=name == taken, travel=travel(plan.readings[order]) / short, drifting=what,
                           drift_mm=1e3 * drift, tool_pull_mm=1e3 * drift * tool, pull_sd=drift * sd,
@@ -124,7 +124,7 @@ def displacements(plan: PlanInformation) -> dict[Drifting, np.ndarray]:
     return {"device": np.tile(np.eye(3), (len(out), 1, 1)), "robot": grown[:, :, None]}
 
 
-def pulled(plan: PlanInformation, order: np.ndarray, moved: np.ndarray) -> tuple[float, int, float]:
+def drift_bias(plan: PlanInformation, order: np.ndarray, moved: np.ndarray) -> tuple[float, int, float]:
     """Return the tool's bias [m] by the worst displacement (n, 3, n_ways), if it grows steadily in this order.
 
     With it, the parameter with the largest bias, and that bias in standard deviations.
@@ -139,7 +139,7 @@ def pulled(plan: PlanInformation, order: np.ndarray, moved: np.ndarray) -> tuple
     return float(sizes[0]), k, float(pull[k])
 
 
-def _told(plan: PlanInformation) -> bool:
+def _measures_positions(plan: PlanInformation) -> bool:
     """Return whether positions are measured."""
     return plan.planned.observation.units[:3] == (METRE,) * 3
 

@@ -19,7 +19,7 @@ from calflow.design.optimality import ToolError, information
 from calflow.design.planned import Planned, SelectionRequest
 from calflow.design.search import greedy
 from calflow.design.selection import PlannedPose, planned_poses
-from calflow.design.task_error import Lack, Lacks, Measure, Site, TaskError, task_error
+from calflow.design.task_error import Measure, MissingEffects, Site, TaskError, WeightedForm, task_error
 from calflow.diagnosis.diagnosis import Diagnosis, extended_model
 from calflow.diagnosis.findings import findings
 from calflow.diagnosis.screening import Catalogue
@@ -38,16 +38,16 @@ from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 
 MOST_LACKS, DIRECTIONS = 4, 10  # lacking effects for which poses are chosen, and directions of each
-PARAMETERS, SURER = "parameters", "tool more certain over the task"
+PARAMETERS, PRECISION = "parameters", "less uncertainty of the tool over the task"
 MATERIAL = 0.02  # share of the task's mean squared error below which a lacking effect is ignored
-TELLING = 0.5  # share of the poses that separate rivals, if there are any
-WORST_SHARE = 0.1  # share of the task's points that count under the worst-point measure
+DISCRIMINATING_SHARE = 0.5  # largest share of poses that separate rivals
+WORST_SHARE = 0.1  # share of the task's points with weight under the worst-point measure
 CONFIDENCE = 0.95
 LIKELY = 0.02  # probability from which a suspect is reported
 
 
 @dataclass(frozen=True, eq=False)
-class Doubt:
+class Uncertainty:
     """A source of uncertainty, as directions of unit standard deviation.
 
     seen (n_poses, n_units, n): whitened Jacobian of the candidate poses; tool (n_points, 3, n) [m]: that of the tool.
@@ -66,18 +66,18 @@ class Chosen:
     reason: str
 
 
-def doubts(
-    lacks: Lacks,
+def uncertainties(
+    missing: MissingEffects,
     error: TaskError,
     alternatives: Sequence[Alternative],
     site: Site,
     planned: Planned,
     choices: Measurements,
-) -> list[Doubt]:
+) -> list[Uncertainty]:
     """Return the sources of uncertainty of the tool over the task, with their effect at the candidate poses."""
-    whole, fitted = lacks.fitted.model, lacks.fitted
+    whole, fitted = missing.fitted.model, missing.fitted
     free = np.flatnonzero(~fitted.fit.at_bound)
-    asked = _material(lacks, error)
+    asked = _material(missing, error)
     model = replace(whole, observations=(planned.observation,))
     estimate = whole.handed_on(fitted.fit.estimate, model)
     effects = [effect for lack in asked for effect in lack.form.effects]
@@ -88,48 +88,48 @@ def doubts(
     places = [place.get(whole.parameters[k].identity) for k in free]
     # The pose of another device is not observed by these poses.
     jacobian = np.stack([slopes[:, :, k] if k is not None else np.zeros(slopes.shape[:2]) for k in places], axis=2)
-    root = np.linalg.cholesky(lacks.covariance)
-    doubts = [Doubt(PARAMETERS, jacobian @ root, site.slopes[:, :, free] @ root)]
+    root = np.linalg.cholesky(missing.covariance)
+    uncertainties = [Uncertainty(PARAMETERS, jacobian @ root, site.slopes[:, :, free] @ root)]
     start = len(estimate)
-    for lack, tool in zip(asked, site.left(lacks, [lack.form for lack in asked]), strict=True):
+    for lack, tool in zip(asked, site.left(missing, [lack.form for lack in asked]), strict=True):
         columns = lack.form.columns
-        turn = _directions(lacks, lack, tool) * np.sqrt(lacks.probability(lack.form.kind, lack.form.name))
-        seen = slopes[:, :, start : start + len(columns)] + jacobian @ lacks.response(columns)
-        doubts.append(Doubt(lack.form.name, seen @ turn, tool @ turn))
+        turn = _directions(missing, lack, tool) * np.sqrt(missing.probability(lack.form.kind, lack.form.name))
+        seen = slopes[:, :, start : start + len(columns)] + jacobian @ missing.response(columns)
+        uncertainties.append(Uncertainty(lack.form.name, seen @ turn, tool @ turn))
         start += len(columns)
     if planned.observation.units == (METRE,) * 3:
         for k, alternative in enumerate(alternatives, start=1):
             size, both = np.sqrt(alternative.probability), (choices.conditions, site.conditions)
             seen, tool = (alternative.apart(whole, fitted.fit.estimate, rows)[:, :, None] for rows in both)
-            doubts.append(Doubt(f"rival {k}", size / planned.sigma * seen, size * tool))
-    return doubts
+            uncertainties.append(Uncertainty(f"rival {k}", size / planned.sigma * seen, size * tool))
+    return uncertainties
 
 
 def further_poses(
-    every: Sequence[Doubt], asked: Sequence[Question], choices: Measurements, measure: Measure, number: int
+    every: Sequence[Uncertainty], asked: Sequence[Question], choices: Measurements, measure: Measure, number: int
 ) -> list[Chosen]:
     """Choose candidates: some that separate rivals, if poses can, and those that reduce the tool's variance."""
-    telling = _telling(asked, choices, int(np.ceil(TELLING * number)))
+    discriminating = _discriminating(asked, choices, int(np.ceil(DISCRIMINATING_SHARE * number)))
     seen = np.concatenate([doubt.seen for doubt in every], axis=2)
     tool = np.concatenate([doubt.tool for doubt in every], axis=2)
-    information_matrix = information(seen[[pose.number for pose in telling]], np.eye(seen.shape[2]))
+    information_matrix = information(seen[[pose.number for pose in discriminating]], np.eye(seen.shape[2]))
     criterion = ToolError(tool, _shares(tool, information_matrix, measure))
-    others = np.setdiff1d(np.arange(len(seen)), [pose.number for pose in telling])
-    added = others[greedy(seen[others], information_matrix, min(number - len(telling), len(others)), criterion)]
+    others = np.setdiff1d(np.arange(len(seen)), [pose.number for pose in discriminating])
+    added = others[greedy(seen[others], information_matrix, min(number - len(discriminating), len(others)), criterion)]
     reasons = []
     for pose in added:
         after = information(seen[[pose]], information_matrix)
         reasons.append(_reason(every, criterion, information_matrix, after))
         information_matrix = after
-    return [*telling, *(Chosen(int(pose), reason) for pose, reason in zip(added, reasons, strict=True))]
+    return [*discriminating, *(Chosen(int(pose), reason) for pose, reason in zip(added, reasons, strict=True))]
 
 
-def _material(lacks: Lacks, error: TaskError) -> list[Lack]:
+def _material(missing: MissingEffects, error: TaskError) -> list[WeightedForm]:
     """Return the likeliest form and size of each lacking effect that matters most to the tool."""
     left, squared = np.array(error.left), error.lacking**2
     share = {name: float(squared[left == name].sum() / (error.every**2).sum()) for name in set(error.left)}
-    likeliest: dict[str, Lack] = {}
-    for lack in sorted(lacks.every, key=lambda lack: lack.log_weight):
+    likeliest: dict[str, WeightedForm] = {}
+    for lack in sorted(missing.every, key=lambda lack: lack.log_weight):
         if lack.form.effects:
             likeliest[lack.form.name] = lack
     names = sorted(
@@ -138,9 +138,9 @@ def _material(lacks: Lacks, error: TaskError) -> list[Lack]:
     return [likeliest[name] for name in names[:MOST_LACKS]]
 
 
-def _directions(lacks: Lacks, lack: Lack, tool: np.ndarray) -> np.ndarray:
+def _directions(missing: MissingEffects, lack: WeightedForm, tool: np.ndarray) -> np.ndarray:
     """Return directions (n_columns, n) of a lack's amplitudes that move the tool most, of unit standard deviation."""
-    mean, covariance = lacks.amplitude(lack)
+    mean, covariance = missing.amplitude(lack)
     second = np.outer(mean, mean) + covariance
     value, turned = np.linalg.eigh(second)
     root = turned * np.sqrt(np.maximum(value, 0.0))
@@ -148,7 +148,7 @@ def _directions(lacks: Lacks, lack: Lack, tool: np.ndarray) -> np.ndarray:
     return np.asarray(root @ np.linalg.svd(moved, full_matrices=False)[2][:DIRECTIONS].T)
 
 
-def _telling(asked: Sequence[Question], choices: Measurements, most: int) -> list[Chosen]:
+def _discriminating(asked: Sequence[Question], choices: Measurements, most: int) -> list[Chosen]:
     """Return the poses of all questions' plans, taken in turn."""
     plans = [(question, question.plan) for question in asked if question.plan]
     reasons: dict[int, str] = {}
@@ -158,7 +158,7 @@ def _telling(asked: Sequence[Question], choices: Measurements, most: int) -> lis
                 same = (choices.joints == plan.poses.joints[k]).all(axis=1)
                 rivals = ", ".join(label(rival.id, rival.joint) for rival in plan.rivals)
                 reasons.setdefault(
-                    int(same.argmax()), f"tells {label(question.cause.id, question.cause.joint)} from {rivals}"
+                    int(same.argmax()), f"distinguishes {label(question.cause.id, question.cause.joint)} from {rivals}"
                 )
     return [Chosen(number, reason) for number, reason in reasons.items()]
 
@@ -170,14 +170,14 @@ def _shares(tool: np.ndarray, information_matrix: np.ndarray, measure: Measure) 
     return np.asarray(counts / counts.sum())
 
 
-def _reason(every: Sequence[Doubt], criterion: ToolError, before: np.ndarray, after: np.ndarray) -> str:
+def _reason(every: Sequence[Uncertainty], criterion: ToolError, before: np.ndarray, after: np.ndarray) -> str:
     """Return in words the uncertainty that a pose reduces most."""
     gone = np.linalg.inv(before) - np.linalg.inv(after)
     moved = (criterion.root @ criterion.root.T) * gone
     ends = np.cumsum([0, *(doubt.seen.shape[2] for doubt in every)])
     gains = [float(moved[i:j, i:j].sum()) for i, j in pairwise(ends)]
     best = every[int(np.argmax(gains))].name
-    return SURER if best == PARAMETERS else f"suspected: {best}"
+    return PRECISION if best == PARAMETERS else f"suspected: {best}"
 
 
 Status = Literal["stop", "measure", "no tolerance", "too few", "nothing measured"]
@@ -195,9 +195,7 @@ class Suspect:
     """An effect that the model may lack, or have under another name, without proof."""
 
     name: str = column("a cause's id and joint; or the inputs of a smooth background; `pose`: every pose for itself")
-    kind: Literal["cause", "background", "pose", "rival"] = column(
-        "what it is; a rival is instead of a cause that was found"
-    )
+    kind: Literal["cause", "background", "pose", "rival"] = column("its kind; a rival: in place of a cause found")
     probability: float = column("its posterior probability")
 
 
@@ -212,9 +210,9 @@ class MeasuringVerdict:
     poses: int = column("poses measured so far")
     fitted_poses: int = column("of these, poses that were fitted")
     measure: Measure = column(
-        "the quantity compared with the tolerance: the tool's true error over the task, `rms` or `worst` point"
+        "the quantity compared with the tolerance: the tool's true error over the task, `rms` or at the `worst` point"
     )
-    tolerance_mm: float | None = column("what it is to be within; null: not stated", "mm", default=None)
+    tolerance_mm: float | None = column("the tolerance; null: not stated", "mm", default=None)
     confidence: float = column("probability that `stop` needs")
     probability: float | None = column(
         "probability that the error is within; null: no tolerance, or too few poses", default=None
@@ -242,14 +240,14 @@ class MeasuringVerdict:
         "noise of a row, per axis; null: too few poses, or no lengths were measured", "mm", default=None
     )
     noise_known: bool = column(
-        "whether it is known independently of the fit; else all residuals count as the robot's", default=False
+        "whether it is known independently of the fit; else all residuals are attributed to the robot", default=False
     )
     found: tuple[str, ...] = column("causes that were found, and unexplained errors, in words", default=())
-    suspected: tuple[Suspect, ...] = column("what is suspected and not proven, the likeliest first", default=())
+    suspected: tuple[Suspect, ...] = column("suspected but unproven effects, the likeliest first", default=())
     untested: tuple[str, ...] = column(
-        "effects that these data cannot show: the probability knows nothing of them", default=()
+        "effects that these data cannot test: the probability does not include them", default=()
     )
-    notes: tuple[str, ...] = column("what was assumed, and what to look at", default=())
+    notes: tuple[str, ...] = column("assumptions and warnings", default=())
 
 
 @dataclass(frozen=True, eq=False)
@@ -298,26 +296,26 @@ def next_step(
     Raises:
         InputError: no stated pose, or hardly any drawn one, is admissible.
     """
-    # The model deployed to the robot, without unproven effects.
+    # The deployed model, without unproven effects.
     fitted, asked = diagnosis.final or diagnosis.extended.fitted.with_causes(()), request.selection
     assert asked.task is not None
     catalogue = Catalogue.of(fitted.data, [effect.id for effect in fitted.plain])
-    lacks = Lacks.of(fitted, catalogue)
+    missing = MissingEffects.of(fitted, catalogue)
     bare = replace(fitted.model, given=())
     site = Site.of(fitted, asked.task, rng("conditions"))
     rivals = _rivals(diagnosis)
     by_cause = [
         [rival for rival in rivals if rival.gone == cause] for cause in diagnosis.causes[: diagnosis.n_deployed]
     ]
-    error = task_error(lacks, by_cause, site, request.measure, rng("task error"))
-    verdict = _verdict(diagnosis, identified, data, lacks, catalogue, error, request, rng)
+    error = task_error(missing, by_cause, site, request.measure, rng("task error"))
+    verdict = _verdict(diagnosis, identified, data, missing, catalogue, error, request, rng)
     calibrated = extended_model(diagnosis, identified, data)
     if verdict.status == "stop":
         nothing = planned_poses(bare, asked, np.zeros((0, bare.robot.n_joints))).assign(reason="")
         return NextStep(verdict, numbered_on(nothing, data), calibrated)
     planned = planned_like(fitted, fitted_share(data))
     choices = _choices(bare, fitted.data, planned, asked, rng("candidates"))
-    every = doubts(lacks, error, rivals, site, planned, choices)
+    every = uncertainties(missing, error, rivals, site, planned, choices)
     chosen = further_poses(every, questions(diagnosis, data, rng, choices), choices, request.measure, asked.number)
     return NextStep(verdict, numbered_on(_table(bare, choices, chosen, asked), data), calibrated)
 
@@ -328,10 +326,10 @@ def _rivals(diagnosis: Diagnosis) -> list[Alternative]:
 
 
 def _verdict(
-    diagnosis: Diagnosis, identified: CalibratedModel, data: Measurements, lacks: Lacks, catalogue: Catalogue, error: TaskError,
-    request: NextPosesRequest, rng: Draws,
+    diagnosis: Diagnosis, identified: CalibratedModel, data: Measurements, missing: MissingEffects, catalogue: Catalogue,
+    error: TaskError, request: NextPosesRequest, rng: Draws,
 ) -> MeasuringVerdict:  # fmt: skip
-    fitted, tolerance = lacks.fitted, request.tolerance
+    fitted, tolerance = missing.fitted, request.tolerance
     probability = None if tolerance is None else error.probability(tolerance)
     status: Status = (
         "no tolerance" if probability is None else "stop" if probability >= request.confidence else "measure"
@@ -348,7 +346,7 @@ def _verdict(
         heldout_rms_mm=in_mm(float(np.sqrt((outside**2).mean()))) if len(outside) else None,
         leftout_rms_mm=in_mm(fitted.left_out.rms), elsewhere_mm=in_mm(float(fitted.left_out.excess())),
         noise_mm=in_mm(fitted.noise.typical(METRE)) or None, noise_known=fitted.noise.known,
-        found=tuple(finding.statement for finding in lacking), suspected=_suspects(diagnosis, lacks),
+        found=tuple(finding.statement for finding in lacking), suspected=_suspects(diagnosis, missing),
         untested=tuple(sorted(catalogue.lacking)), notes=data.notes,
     )  # fmt: skip
 
@@ -376,10 +374,10 @@ def _table(model: Model, choices: Measurements, chosen: Sequence[Chosen], asked:
     return table.assign(reason=[pose.reason for pose in ordered])
 
 
-def _suspects(diagnosis: Diagnosis, lacks: Lacks) -> tuple[Suspect, ...]:
+def _suspects(diagnosis: Diagnosis, missing: MissingEffects) -> tuple[Suspect, ...]:
     """Return the suspects, the likeliest first."""
-    names = dict.fromkeys((lack.form.kind, lack.form.name) for lack in lacks.every if lack.form.kind != "nothing")
-    every = [Suspect(name=name, kind=kind, probability=lacks.probability(kind, name)) for kind, name in names]
+    names = dict.fromkeys((lack.form.kind, lack.form.name) for lack in missing.every if lack.form.kind != "nothing")
+    every = [Suspect(name=name, kind=kind, probability=missing.probability(kind, name)) for kind, name in names]
     every += [
         Suspect(
             name=label(rival.rival.id, rival.rival.joint) if rival.rival else UNEXPLAINED,

@@ -33,7 +33,7 @@ from calflow.robot.robot import Robot
 Aim = Literal["parameters", "tool", "worst"]  # whose variance is minimised
 Order = Literal["short", "random"]  # in which poses are measured
 Record = Literal["approach", "travel", "time", "temperature"]  # conditions recorded besides joint readings
-USUAL_DRIFT = 5e-5  # m: of a tracker in an afternoon
+USUAL_DRIFT = 5e-5  # m: of a laser tracker in an afternoon
 USUAL_SIGMA = 5e-5  # m, of a laser tracker on a large robot
 
 
@@ -47,7 +47,7 @@ class Planned:
 
     @staticmethod
     def like(observation: Observation, noise: Noise, k: int, share: float = 1.0) -> Planned:
-        """Return the plan that observes as series k did, with only a share of the further rows fitted."""
+        """Return the plan of observations like series k, with only a share of the further rows fitted."""
         about = noise.only(noise.of_series(k)).about_model(observation.units)
         sizes = {
             unit: float(np.sqrt(np.mean(sd**2) / share)) for unit, sd in zip(observation.units, about, strict=True)

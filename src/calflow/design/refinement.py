@@ -20,14 +20,9 @@ from calflow.robot.mechanism import DEAD_POINT, base_place
 from calflow.robot.robot import Robot
 
 ITERATIONS = 60
-STEP_SHARES = (
-    1.0,
-    0.5,
-    0.25,
-    0.1,
-)  # shares of a step that are tried: constraints that IPOPT does not see, such as collisions, may forbid it
-NEARBY = 0.3  # rad or m: trust region of a joint if there is a cell, whose links and boxes IPOPT does not see
-MARGIN = 1e-6  # rad, m and of a cosine: IPOPT may pass a bound by a little less
+STEP_SHARES = (1.0, 0.5, 0.25, 0.1)  # shares of a step tried, since constraints unknown to IPOPT may forbid it
+NEARBY = 0.3  # rad or m: trust region of a joint in a cell, whose collisions IPOPT ignores
+MARGIN = 1e-6  # rad, m or cosine: above IPOPT's tolerance of bounds
 OPTIONS: dict[str, Any] = {
     "ipopt.hessian_approximation": "limited-memory",
     "ipopt.max_iter": ITERATIONS,
@@ -38,7 +33,7 @@ OPTIONS: dict[str, Any] = {
 }
 
 
-def bounded(cell: Cell, robot: Robot, marker: str, q: ca.SX) -> tuple[list[ca.SX], list[np.ndarray]]:
+def cell_constraints(cell: Cell, robot: Robot, marker: str, q: ca.SX) -> tuple[list[ca.SX], list[np.ndarray]]:
     """Return expressions of driven joint angles q (n_joints,), each (n,), with bounds (n, 2) [m, or of a cosine]."""
     point, flange = reflector(robot, marker, q)
     stands = placement(base_place(robot))
@@ -122,7 +117,7 @@ def _program(
     if robot.loop is not None:
         held, limits = [*held, cosine], [*limits, np.array([[-DEAD_POINT, DEAD_POINT]])]
     if request.cell is not None:
-        views, within = bounded(request.cell, robot, request.marker, ca.DM(robot.reading_matrix) @ q)
+        views, within = cell_constraints(request.cell, robot, request.marker, ca.DM(robot.reading_matrix) @ q)
         held, limits = [*held, *views], [*limits, *within]
     constraints = ca.Function("constraints", [q], [ca.vertcat(*held)])
 

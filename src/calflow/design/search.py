@@ -15,20 +15,20 @@ import numpy as np
 
 from calflow.design.optimality import Criterion, ToolError, information
 
-CLOSE = 1e-3  # gap of the squared loss to its bound at which the relaxed design has converged
+GAP = 1e-3  # gap of the squared loss to its bound at which the relaxed design has converged
 MOST_ROUNDS = 60
 MULTIPLICATIVE_STEPS = 200  # of the multiplicative algorithm in a round
 FIRST, ADDED = 500, 300  # candidates in the first round, and those added in each further round
 NEGLIGIBLE = 1e-5  # weight below which a pose is dropped from the design
-BLOCK_CANDIDATES = 4096  # candidates at once
+BLOCK_CANDIDATES = 4096  # candidates per block
 SHORTLIST = 2000  # candidates of largest sensitivity, from which exact designs are chosen
-STARTS = 8  # largest number of designs drawn from the relaxed one
-GOOD = 2e-3  # relative gap to the bound at which no more are drawn
-PART = 1e-3  # least weight of a candidate in the support of the relaxed design
+STARTS = 8  # largest number of roundings of the relaxed design
+GOOD_GAP = 2e-3  # relative gap to the bound at which rounding ends
+LEAST_WEIGHT = 1e-3  # least weight of a candidate in the support of the relaxed design
 MINIMAX_ROUNDS = 12  # rounds of reweighting the task points
 EAGERNESS = 2.0  # power of a point's variance by which its weight grows in a round
 EXCHANGE_PASSES = 20
-SMALLEST_GAIN = 1e-6  # relative gain below which an exchange is rounding
+SMALLEST_GAIN = 1e-6  # relative gain below which an exchange is rounding error
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +65,7 @@ def bound_allows(jacobians: np.ndarray, prior: np.ndarray, number: int, criterio
     for design in _rounds(jacobians, prior, number, criterion, None):
         if design.bound > loss:
             return False
-        if design.loss <= loss:  # no later bound exceeds a loss that a design reaches
+        if design.loss <= loss:  # no later bound exceeds it
             return True
     return True
 
@@ -80,13 +80,13 @@ def _rounds(
     weights = np.full(first, number / first) if start is None else start[active]
     best = 0.0
     for _ in range(MOST_ROUNDS):
-        weights, information_matrix, covariance = _settled(jacobians[active], prior, number, weights, criterion)
+        weights, information_matrix, covariance = _optimised(jacobians[active], prior, number, weights, criterion)
         slope = criterion.slope(covariance)
         sensitivity = sensitivities(jacobians, slope)
         level = criterion.loss(covariance)
-        bound = level * np.sqrt(_reached(slope, information_matrix) / _most(slope, prior, sensitivity, number))
+        bound = level * np.sqrt(_trace(slope, information_matrix) / _largest_trace(slope, prior, sensitivity, number))
         best = max(best, bound)
-        close = (level / bound) ** 2 < 1 + CLOSE
+        close = (level / bound) ** 2 < 1 + GAP
         if not close:
             kept = weights > NEGLIGIBLE
             joining = np.setdiff1d(np.argsort(sensitivity)[-ADDED:], active[kept])
@@ -110,32 +110,32 @@ def sensitivities(jacobians: np.ndarray, slope: np.ndarray) -> np.ndarray:
     return values
 
 
-def _settled(
+def _optimised(
     jacobians: np.ndarray, prior: np.ndarray, number: int, weights: np.ndarray, criterion: Criterion
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the candidates' weights after some steps, with their information matrix and the covariance."""
+    """Return weights optimised by the multiplicative algorithm, with information matrix and covariance."""
     information_matrix = information(jacobians, prior, weights)
     for _ in range(MULTIPLICATIVE_STEPS):
         covariance = np.linalg.inv(information_matrix)
         slope = criterion.slope(covariance)
         sensitivity = sensitivities(jacobians, slope)
-        if _most(slope, prior, sensitivity, number) < (1 + CLOSE / 2) * _reached(slope, information_matrix):
+        if _largest_trace(slope, prior, sensitivity, number) < (1 + GAP / 2) * _trace(slope, information_matrix):
             break
         weights = _capped(weights * sensitivity**criterion.power, number)
         information_matrix = information(jacobians, prior, weights)
     return weights, information_matrix, np.linalg.inv(information_matrix)
 
 
-def _reached(slope: np.ndarray, information_matrix: np.ndarray) -> float:
+def _trace(slope: np.ndarray, information_matrix: np.ndarray) -> float:
     """Return trace(Fᵀ M F) for a design's information M."""
     return float(np.sum(slope * (information_matrix @ slope)))
 
 
-def _most(slope: np.ndarray, prior: np.ndarray, sensitivity: np.ndarray, number: int) -> float:
-    """The most that trace(Fᵀ M' F) can be with the information M' of any so many candidates.
+def _largest_trace(slope: np.ndarray, prior: np.ndarray, sensitivity: np.ndarray, number: int) -> float:
+    """Return an upper bound of trace(Fᵀ M' F) for the information M' of any so many candidates.
 
-    The loss of these is at least the design's, times the root of what it reaches over this: det(M⁻¹M') is at most the p-th
-    power of its mean eigenvalue, and trace(A C') trace(C A C M') at least the square of trace(A C) (Cauchy and Schwarz).
+    Their loss is at least the design's, times the root of its own trace over this bound: det(M⁻¹M') is at most the p-th
+    power of its mean eigenvalue, and trace(A C') trace(C A C M') at least the square of trace(A C) (Cauchy-Schwarz).
     """
     return float(np.sum(slope * (prior @ slope)) + np.partition(sensitivity, -number)[-number:].sum())
 
@@ -146,13 +146,9 @@ def _capped(shares: np.ndarray, number: int) -> np.ndarray:
     falling = np.sort(shares)[::-1]
     rest = np.cumsum(falling[::-1])[::-1]
     full = np.arange(len(shares))
-    scale = (number - full[:number]) / rest[:number]  # where so many are taken whole
+    scale = (number - full[:number]) / rest[:number]  # with so many weights of 1
     fits = scale * falling[:number] <= 1
-    return (
-        np.minimum(1.0, scale[np.argmax(fits)] * shares)
-        if fits.any()
-        else np.minimum(1.0, shares / falling[number - 1])
-    )
+    return np.minimum(1.0, shares * (scale[np.argmax(fits)] if fits.any() else 1 / falling[number - 1]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,9 +175,9 @@ def search_poses(
     """
     best = relaxed(jacobians, prior, number, criterion)
     # The support of the relaxed design and nearly as good candidates, the best last.
-    shortlist = np.lexsort((best.sensitivity, best.weights >= PART))[-max(SHORTLIST, number) :]
+    shortlist = np.lexsort((best.sensitivity, best.weights >= LEAST_WEIGHT))[-max(SHORTLIST, number) :]
     near, weights = jacobians[shortlist], best.weights[shortlist]
-    inside = np.flatnonzero((weights >= PART) | (np.arange(len(weights)) >= len(weights) - number))
+    inside = np.flatnonzero((weights >= LEAST_WEIGHT) | (np.arange(len(weights)) >= len(weights) - number))
 
     def loss(chosen: list[int]) -> float:
         return criterion.loss(np.linalg.inv(information(near[chosen], prior)))
@@ -191,7 +187,7 @@ def search_poses(
 
     chosen = exchanged(greedy(near[inside], prior, number, criterion))
     for _ in range(STARTS):
-        if best.bound > (1 - GOOD) * loss(chosen):
+        if best.bound > (1 - GOOD_GAP) * loss(chosen):
             break
         chosen = min(chosen, exchanged(_drawn(weights[inside], number, rng)), key=loss)
     chosen = exchange(near, prior, chosen, criterion)
@@ -200,7 +196,7 @@ def search_poses(
 
 def _drawn(weights: np.ndarray, number: int, rng: np.random.Generator) -> list[int]:
     """Draw candidates without replacement, with probabilities by weight (Gumbel's method)."""
-    keys = np.log(np.maximum(weights, 1e-9)) + rng.gumbel(size=len(weights)) * (weights < 1 - PART)
+    keys = np.log(np.maximum(weights, 1e-9)) + rng.gumbel(size=len(weights)) * (weights < 1 - LEAST_WEIGHT)
     return [int(i) for i in np.argsort(keys)[::-1][:number]]
 
 
@@ -237,7 +233,7 @@ def greedy(jacobians: np.ndarray, prior: np.ndarray, number: int, criterion: Cri
     for _ in range(number):
         best = _best(jacobians, basis, chosen, criterion)[0]
         chosen.append(best)
-        basis = _changed(basis, jacobians[best], basis[best], +1)
+        basis = _updated(basis, jacobians[best], basis[best], +1)
     return chosen
 
 
@@ -248,12 +244,12 @@ def exchange(jacobians: np.ndarray, prior: np.ndarray, chosen: Sequence[int], cr
         swapped = False
         basis = _basis(jacobians, prior, chosen, criterion)  # recomputed against accumulated rounding
         for k, old in enumerate(chosen):
-            without = _changed(basis, jacobians[old], basis[old], -1)
+            without = _updated(basis, jacobians[old], basis[old], -1)
             best, gains = _best(jacobians, without, [*chosen[:k], *chosen[k + 1 :]], criterion)
             if gains[best] > (1 + SMALLEST_GAIN) * gains[old]:
                 chosen[k] = best
                 swapped = True
-                basis = _changed(without, jacobians[best], without[best], +1)
+                basis = _updated(without, jacobians[best], without[best], +1)
         if not swapped:
             break
     return chosen
@@ -275,11 +271,11 @@ def _basis(jacobians: np.ndarray, prior: np.ndarray, chosen: Sequence[int], crit
     return np.asarray(jacobians @ np.hstack([covariance, covariance @ criterion.root]))
 
 
-def _changed(basis: np.ndarray, pose: np.ndarray, gain: np.ndarray, sign: int) -> np.ndarray:
+def _updated(basis: np.ndarray, pose: np.ndarray, gain: np.ndarray, sign: int) -> np.ndarray:
     """Return the basis after adding (+1) or removing (-1) a pose (n_axes, n_parameters), by Woodbury's formula."""
     n = pose.shape[1]
     inner = np.linalg.solve(np.eye(len(pose)) + sign * gain[:, :n] @ pose.T, gain)
-    flat = basis.reshape(-1, basis.shape[2])  # one product of large matrices, where numpy would make one a candidate
+    flat = basis.reshape(-1, basis.shape[2])  # one product of large matrices instead of one per candidate
     change = (flat[:, :n] @ pose.T) @ (-sign * inner)
     change += flat
     return np.asarray(change.reshape(basis.shape))

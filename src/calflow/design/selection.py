@@ -12,7 +12,7 @@ from calflow.design.optimality import Criterion, ParameterCriterion, ToolError, 
 from calflow.design.planned import Aim, SelectionRequest, Task
 from calflow.design.refinement import refined_poses
 from calflow.design.search import SearchResult, greedy, search_poses, search_worst
-from calflow.design.worth import HowMany, PlanInformation, Worth, enough, knee, next_best
+from calflow.design.worth import HowMany, PlanInformation, Worth, knee, next_best, poses_for_tolerance
 from calflow.estimation.identifiability import NULL
 from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
 from calflow.files.deferred import pd
@@ -222,7 +222,7 @@ def _how_many(
     """Return the gain by ten more poses, the bend of the curve, and the number of poses that meets a tolerance."""
     met, needed = (None, None)
     if request.tolerance is not None:
-        met, needed = enough(whitened, prior, tool, request.tolerance, rng("number"))
+        met, needed = poses_for_tolerance(whitened, prior, tool, request.tolerance, rng("number"))
     information_matrix = information(chosen, prior)
     expected = tool.loss(np.linalg.inv(information_matrix))
     return HowMany(

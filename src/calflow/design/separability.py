@@ -33,24 +33,24 @@ from calflow.model import Model, build, stated
 from calflow.robot.robot import Robot
 
 RECORDS: dict[Record, str] = {
-    "approach": "the side that each joint comes from recorded",
-    "travel": "each joint's travel since it turned back recorded",
+    "approach": "each joint's direction of approach recorded",
+    "travel": "each joint's travel since its last reversal recorded",
     "time": "the time of each row recorded",
     "temperature": "a thermometer",
 }
 MINUTE = 60.0  # s, from pose to pose
-WARMS, HOUR = 12.0, 3600.0  # K and s: a robot that warms up while it is measured
-ROOM = 293.15  # K
-DRAWS_PER_CAUSE = 400  # measurements drawn of each cause: a chance of 0.9 is known to 0.015
-FORMS = 20  # of a cause, drawn among its variants
-BUILT = 0.4  # of priors' standard deviations: how far the fitted parameters of real robots are off (UR10 0.2, FANUC 0.4, UR5 1.1)
+WARM_UP, TIME_CONSTANT = 12.0, 3600.0  # K and s, of a robot that warms up during the measurement
+ROOM_TEMPERATURE = 293.15  # K
+DRAWS_PER_CAUSE = 400  # simulated measurements per cause: standard error 0.015 of a probability of 0.9
+FORMS = 20  # largest number of a cause's variants, drawn at random
+TYPICAL_ERROR = 0.4  # in prior standard deviations, of fitted parameters (UR10 0.2, FANUC 0.4, UR5 1.1)
 
 
 @dataclass(frozen=True, eq=False)
-class Visits:
-    """Poses in measuring order: readings (n, n_joints), the payload of each, the markers measured at each, what is recorded.
+class MeasuringPlan:
+    """Poses in measuring order: readings (n, n_joints), the payload of each, the markers measured at each, the records.
 
-    vias (n, n_joints) are what the poses are reached from, None where they follow each other.
+    vias (n, n_joints): readings before each pose; None if each follows the previous one.
     """
 
     robot: Robot
@@ -61,11 +61,12 @@ class Visits:
     vias: np.ndarray | None = None
 
     def measurements(self) -> Measurements:
-        """Return the rows as a perfect device would report them of the nominal robot, which warms up, a pose a minute."""
+        """Return the noise-free rows of the nominal robot, which warms up, at one pose a minute."""
         n, each = len(self.readings), len(self.markers)
         came, far = reached(self.readings, self.vias)
         time = MINUTE * np.arange(n)
-        every = {"approach": came, "travel": far, "time": time, "temperature": ROOM - WARMS * np.expm1(-time / HOUR)}
+        temperature = ROOM_TEMPERATURE - WARM_UP * np.expm1(-time / TIME_CONSTANT)
+        every = {"approach": came, "travel": far, "time": time, "temperature": temperature}
         q = np.repeat(self.readings, each, axis=0)
         conditions: dict[str, Any] = {
             name: np.repeat(every[name], each, axis=0) for name in RECORDS if name in self.records
@@ -79,8 +80,8 @@ class Visits:
         nominal = build(self.robot, (), planned.given)
         return Measurements.from_arrays(self.robot, q, nominal.point(nominal.nominal, planned.conditions), **conditions)
 
-    def additions(self, more: np.ndarray) -> Iterator[tuple[str, Visits]]:
-        """Yield in words what could be added, the cheapest first, and the visits with it; more are further poses' readings."""
+    def additions(self, more: np.ndarray) -> Iterator[tuple[str, MeasuringPlan]]:
+        """Yield each possible addition in words, the cheapest first, and the plan with it; more: readings of further poses."""
         for record, words in RECORDS.items():
             if record not in self.records:
                 yield words, replace(self, records=self.records | {record})
@@ -103,7 +104,7 @@ Place = tuple[str, str]  # effect and part
 
 @dataclass(frozen=True)
 class PlacedCause:
-    """A cause at its part, or by its id alone (part empty), where the poses test it nowhere; joint 0: none."""
+    """A cause at a part, or by its id alone (part empty) if the poses cannot test it; joint 0: none."""
 
     id: str
     part: str = ""
@@ -116,18 +117,18 @@ class IsolabilityCell:
 
     cause: str = column("id of the cause")
     joint: int | None = column("its joint or link; empty: none, or all")
-    part: str = column("where it acts; empty: the poses do not test it anywhere")
-    size: float | None = column("root mean square of its parameters of the first one's unit", "as unit says")
+    part: str = column("its part of the robot; empty: the poses cannot test it")
+    size: float | None = column("root mean square of its parameters that have the first one's unit", "as unit says")
     unit: str = column("unit of size")
-    rival: str = column("id of what it is to be told from; empty: from nothing being there, that is whether it is seen")
+    rival: str = column("id of the rival; empty: none, for the detection of the cause")
     rival_joint: int | None = column("its joint or link; empty: none")
-    rival_part: str = column("where it acts; empty where the poses do not test it")
-    chance: float = column("chance that it is seen, and told from the rival")
-    enough: bool = column("whether that is 0.9 or more")
-    needs: str = column("what a test of the cause, or of the rival, needs; empty: nothing")
+    rival_part: str = column("its part of the robot; empty: the poses cannot test it")
+    chance: float = column("probability of detecting the cause, and of distinguishing it from the rival")
+    enough: bool = column("whether it is 0.9 or more")
+    needs: str = column("unmet needs of a test of the cause, or of the rival; empty: none")
     worst: bool = column("whether it is the cause's worst gap")
-    addition: str = column("the cheapest addition that fills the worst gap; empty: none of those that were tried does")
-    chance_then: float | None = column("chance with it; empty: none")
+    addition: str = column("the cheapest addition that closes the worst gap; empty: none of those tried")
+    chance_then: float | None = column("the probability with it; empty: none")
     words: str = column("the worst gap in words; empty elsewhere")
 
 
@@ -135,20 +136,20 @@ class IsolabilityCell:
 class Isolability:
     """The detection probability of each cause's place, and that of distinguishing each pair (true, rival).
 
-    causes: a form for each place; lacking: requirements of tests that are unmet; untold: by place, the ids that no data
-    of this kind distinguish from it, and what would (empty: another sensor or load).
+    causes: a form for each place; seen, told: these probabilities; lacking: unmet needs of tests; indistinguishable: by
+    place, the ids that data of this kind cannot distinguish from it, and what would (empty: another sensor or load).
     """
 
     causes: Mapping[Place, Cause]
     seen: Mapping[Place, float]
     told: Mapping[tuple[Place, Place], float]
     lacking: Mapping[str, str]
-    untold: Mapping[Place, Mapping[str, str]]
+    indistinguishable: Mapping[Place, Mapping[str, str]]
 
     def table(self, size: float, tried: Mapping[str, Isolability]) -> pd.DataFrame:
-        """Return select/isolability.csv; size is that of the causes in usual ones.
+        """Return select/isolability.csv.
 
-        tried says what the plan could tell with each addition, in the order of what they cost.
+        size: of the causes, relative to their usual sizes; tried: the isolability with each addition, by cost.
         """
         rows: list[IsolabilityCell] = []
         tested = [PlacedCause(*place, cause.joint) for place, cause in self.causes.items()]
@@ -157,7 +158,7 @@ class Isolability:
             chances = [self.chance_of(cause, rival) for rival in gaps]
             worst, (usual, unit) = _worst(chances), self._usual(cause, size)
             for k, (rival, chance) in enumerate(zip(gaps, chances, strict=True)):
-                other, filled = rival or PlacedCause(""), _filled(tried, cause, rival) if k == worst else None
+                other, filled = rival or PlacedCause(""), _closing(tried, cause, rival) if k == worst else None
                 rows.append(
                     IsolabilityCell(
                         cause=cause.id, joint=cause.joint or None, part=cause.part, size=usual, unit=unit, rival=other.id,
@@ -170,9 +171,9 @@ class Isolability:
         return to_frame(rows, IsolabilityCell)
 
     def chance_of(self, cause: PlacedCause, rival: PlacedCause | None) -> float:
-        """Return the chance that a cause is seen (rival None), or seen and told from a rival; 0 for what the poses do not test.
+        """Return the probability of detecting a cause (rival None), or of distinguishing it; 0 if not testable.
 
-        A cause or rival that is known by its id alone is the one that is seen best, or told worst.
+        A cause without a part is represented by its best detected place, in a pair by the worst distinguished ones.
         """
         true, others = (
             [place for place in self.seen if of and of.id == place[0] and of.part in ("", place[1])] for of in (cause, rival)
@@ -185,15 +186,15 @@ class Isolability:
         own = cause.id, cause.part
         if own in self.causes:
             yield from (PlacedCause(*place, other.joint) for place, other in self.causes.items() if place != own)
-            yield from (PlacedCause(name, joint=cause.joint) for name in self.untold[own])
+            yield from (PlacedCause(name, joint=cause.joint) for name in self.indistinguishable[own])
 
     def _needs(self, cause: PlacedCause, rival: PlacedCause | None) -> str:
         if not cause.part:
             return self.lacking[cause.id]
-        return self.untold[cause.id, cause.part][rival.id] if rival and not rival.part else ""
+        return self.indistinguishable[cause.id, cause.part][rival.id] if rival and not rival.part else ""
 
     def _usual(self, cause: PlacedCause, size: float) -> tuple[float | None, str]:
-        """The size that was drawn, and its unit."""
+        """Return the simulated size, and its unit."""
         if not cause.part:
             return None, ""
         declared = self.causes[cause.id, cause.part].declared
@@ -201,7 +202,7 @@ class Isolability:
         return size * float(np.sqrt(np.mean(np.square(same)))), declared[0].unit
 
     def _name(self, cause: PlacedCause) -> str:
-        """Name a cause with its joint, or with its part where it has several."""
+        """Return a cause's label with its joint, or with its part if it has several."""
         if not cause.part:
             return cause.id
         alone = cause.joint or sum(cause.id == id_ for id_, _ in self.causes) == 1
@@ -210,19 +211,17 @@ class Isolability:
     def _words(
         self, cause: PlacedCause, rival: PlacedCause | None, filled: tuple[str, float] | None, tried: Mapping[str, Isolability]
     ) -> str:  # fmt: skip
-        """Say a gap and what fills it."""
-        what = "seen" if rival is None else f"distinguished from {self._name(rival)}"
+        """Return a gap and its remedy in words."""
+        what = "detected" if rival is None else f"distinguished from {self._name(rival)}"
         needs = self._needs(cause, rival)
-        how = f"not {what}: it takes {needs}" if needs else f"{what} in {_hundred(self.chance_of(cause, rival))}"
+        how = f"not {what}: it takes {needs}" if needs else f"{what} in {_percent(self.chance_of(cause, rival))}"
         if filled:
-            seen = (
-                {} if cause.part or rival else tried[filled[0]].seen
-            )  # where, of a cause that was not tested anywhere
+            seen = {} if cause.part or rival else tried[filled[0]].seen  # the parts of a cause not testable before
             shown = ", ".join(part for (id_, part), chance in seen.items() if id_ == cause.id and chance >= ENOUGH)
-            return f"{self._name(cause)} is {how}; with {filled[0]} in {_hundred(filled[1])}{f' ({shown})' if shown else ''}"
+            return f"{self._name(cause)} is {how}; with {filled[0]} in {_percent(filled[1])}{f' ({shown})' if shown else ''}"
         if needs:
             return f"{self._name(cause)} is {how}"
-        means = ["at this size it takes a surer device or more poses"]
+        means = ["at this size it takes a more precise device or more poses"]
         if rival is not None:
             effects = [effect_class(of.id) for of in (cause, rival)]
             means = [effect.told_by for effect in effects if effect and effect.told_by] or [ANY_MEANS]
@@ -232,7 +231,7 @@ class Isolability:
 def isolability(
     effects: Sequence[str],
     planned: Planned,
-    visits: Visits,
+    plan: MeasuringPlan,
     rng: np.random.Generator,
     *,
     size: float = 1.0,
@@ -244,29 +243,29 @@ def isolability(
     """Return the isolability of causes by a plan, besides effects that are fitted.
 
     Args:
-        effects: ids of what is fitted anyway.
+        effects: ids of the effects fitted anyway.
         planned: how each pose will be measured.
-        visits: which poses, with what on and beside the robot.
-        rng: draws causes and noise.
-        size: of each cause, in its usual size: the root mean square of its parameters, in their priors' standard deviations.
-        false_alarm: chance that diagnose finds anything where nothing is hidden.
-        holdout: share of the poses that the study holds out, by its seed: diagnose sees the others.
-        seed: of the study.
-        draws: measurements of each cause.
+        plan: the poses, payloads, markers and records.
+        rng: random numbers for causes and noise.
+        size: root mean square of each cause's parameters, in prior standard deviations.
+        false_alarm: probability that diagnose finds anything without a hidden cause.
+        holdout: share of the poses held out by the study.
+        seed: of the study, for the held-out poses.
+        draws: number of simulated measurements per cause.
     """
-    screening, catalogue = screened(effects, planned, visits.measurements().split(holdout, seed), rng)
+    screening, catalogue = screened(effects, planned, plan.measurements().split(holdout, seed), rng)
     seen, told_apart = chances(
         screening, screening.family(rng), SHARES["causes"] * false_alarm, rng, size=size, draws=draws
     )
     causes = {candidate.cause.place: candidate.cause for candidate in screening.regressors.candidates}
-    untold = {place: _untold(cause, catalogue, causes) for place, cause in causes.items()}
-    return Isolability(causes, seen, told_apart, catalogue.lacking, untold)
+    indistinguishable = {place: _indistinguishable(cause, catalogue, causes) for place, cause in causes.items()}
+    return Isolability(causes, seen, told_apart, catalogue.lacking, indistinguishable)
 
 
 def screened(
     effects: Sequence[str], planned: Planned, data: Measurements, rng: np.random.Generator
 ) -> tuple[Screening[Cause], Catalogue]:
-    """Return the tests of all causes that a plan's measurements will allow, and the catalogue that they are of."""
+    """Return the tests of all causes that a plan's measurements allow, and their catalogue."""
     train = data.only(data.train)
     catalogue = Catalogue.of(train, effects)
     model = stated(data.robot, effects, train, (planned.observation,))
@@ -290,7 +289,9 @@ def chances(
     """
     regressors = screening.regressors
     noise = rng.standard_normal((len(regressors.residual), draws))
-    pull = BUILT * np.sqrt(regressors.precision)[:, None] * rng.standard_normal((len(regressors.precision), draws))
+    pull = (
+        TYPICAL_ERROR * np.sqrt(regressors.precision)[:, None] * rng.standard_normal((len(regressors.precision), draws))
+    )
     still, left = screening.settled(noise, pull)
     forms: dict[Place, list[Candidate[H]]] = {}
     for candidate in regressors.candidates:
@@ -305,17 +306,17 @@ def chances(
             score = still[:, which] - screening.response(columns) @ truth
             chi2 = left[which] - (truth * (still[columns][:, which] + score[columns])).sum(axis=0)
             by_place = screening.trials(score, chi2, family, false_alarm).by_place()
-            if place not in by_place:  # it does not show in any form
+            if place not in by_place:  # no form is testable
                 break
-            left_open = _left_open(by_place)
+            left_open = _finding_sets(by_place)
             seen[place] += int(left_open[place].sum())
-            for rival in forms.keys() - {place}:  # what does not show cannot be behind what does
+            for rival in forms.keys() - {place}:  # an untestable place is never confused
                 told_apart[place, rival] += int((left_open[place] & ~left_open.get(rival, np.False_)).sum())
     return {place: n / draws for place, n in seen.items()}, {pair: n / draws for pair, n in told_apart.items()}
 
 
-def _left_open(by_place: Mapping[Place, tuple[np.ndarray, np.ndarray]]) -> dict[Place, np.ndarray]:
-    """In which draws (n_draws,) a place is among what the finding may be: the best that passes, and all that are near it."""
+def _finding_sets(by_place: Mapping[Place, tuple[np.ndarray, np.ndarray]]) -> dict[Place, np.ndarray]:
+    """Return by place the draws (n_draws,) in which it is in the finding's set: the best that passes, and those near it."""
     cost, passed = (np.array([values[k] for values in by_place.values()]) for k in (0, 1))
     best = np.where(passed, cost, np.inf).min(axis=0)
     return dict(zip(by_place, (cost - best < WITHIN) & np.isfinite(best), strict=True))
@@ -324,7 +325,7 @@ def _left_open(by_place: Mapping[Place, tuple[np.ndarray, np.ndarray]]) -> dict[
 def amplitudes(
     candidate: Candidate[H], prior_sd: np.ndarray, size: float, number: int, rng: np.random.Generator
 ) -> np.ndarray:
-    """Draw a cause's parameters (n_parameters, number) of one size in any direction, on the side that their bounds allow."""
+    """Draw a cause's parameters (n_parameters, number) of given size and random direction, within their bounds."""
     direction = rng.standard_normal((len(candidate.columns), number))
     direction *= np.sqrt(len(direction) / (direction**2).sum(axis=0))
     drawn = size * prior_sd[candidate.columns, None] * direction
@@ -335,9 +336,9 @@ def amplitudes(
 def _regressors(
     model: Model, planned: Planned, conditions: np.ndarray, effects: Sequence[Effect], rng: np.random.Generator
 ) -> Regressors[Cause]:
-    """What every candidate would do to whitened rows (n_conditions, n_rows); the residual is noise, drawn once.
+    """Return the regressors of all candidates at whitened rows (n_conditions, n_rows); the residual is drawn noise.
 
-    Joints give way by as much as is usual: some causes show by that alone.
+    Joints have their usual compliance, on which some causes depend.
     """
     n = len(model.parameters)
     sd = np.array([parameter.prior_sd for parameter in model.parameters])
@@ -351,8 +352,8 @@ def _regressors(
     return Regressors(residual, matrix[:, :n], sd**-2.0, np.zeros(n), 0.0, held, prior_sd, candidates_of(effects))
 
 
-def _untold(cause: Cause, catalogue: Catalogue, tested: Mapping[Place, Cause]) -> dict[str, str]:
-    """What may be behind a cause and no such data test, or tell from it, with what that would take."""
+def _indistinguishable(cause: Cause, catalogue: Catalogue, tested: Mapping[Place, Cause]) -> dict[str, str]:
+    """Return the ids that no such data test, or distinguish from a cause, and what would."""
     there = {(tested_cause.id, tested_cause.joint) for tested_cause in tested.values()}
     alike = {name: "" for name in cause.alike if (name, cause.joint) not in there}
     return alike | catalogue.untestable(cause.id)
@@ -367,7 +368,7 @@ def isolability_summary(table: pd.DataFrame) -> str:
 
 
 def isolability_gaps(table: pd.DataFrame) -> list[str]:
-    """Return in words the causes' worst gaps that an addition fills, the widest first."""
+    """Return in words the causes' worst gaps that an addition closes, the widest first."""
     gaps = table[table["worst"] & (table["addition"].fillna("") != "")]
     return list(gaps.sort_values("chance", kind="stable")["words"])
 
@@ -378,13 +379,13 @@ def _worst(chances: Sequence[float]) -> int | None:
     return worst if chances[worst] < ENOUGH else None
 
 
-def _filled(
+def _closing(
     tried: Mapping[str, Isolability], cause: PlacedCause, rival: PlacedCause | None
 ) -> tuple[str, float] | None:
-    """The first addition with which a gap is none, and the chance then."""
-    then = ((words, with_it.chance_of(cause, rival)) for words, with_it in tried.items())
+    """Return the first addition that closes a gap, and the probability with it; None if none does."""
+    then = ((words, isolability.chance_of(cause, rival)) for words, isolability in tried.items())
     return next((count for count in then if count[1] >= ENOUGH), None)
 
 
-def _hundred(chance: float) -> str:
+def _percent(chance: float) -> str:
     return f"{100 * chance:.0f} of 100"

@@ -17,10 +17,10 @@ from calflow.robot.frames import apply
 from calflow.robot.mechanism import Deflection, nominal_dimensions, pose
 from calflow.robot.robot import Robot
 
-SHORT = 1e-18  # m² (m⁴): a segment's squared length, or that of two segments' cross product, that counts as zero
+SHORT = 1e-18  # m² (m⁴): a squared length, or squared cross product of two segments, below which it is zero
 
 
-def between_segments(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:
+def segment_distances(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:
     """Return the distances [m] of segments from a to b and from c to d, each (n, 3), shape (n,).
 
     Nearest points as in Ericson, Real-Time Collision Detection (2005), section 5.1.9; a segment may be a point.
@@ -28,13 +28,13 @@ def between_segments(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray)
     first, second, apart = b - a, d - c, a - c
     p, q, mixed = _dot(first, first), _dot(second, second), _dot(first, second)
     along, across = _dot(first, apart), _dot(second, apart)
-    s = np.clip(_share(mixed * across - along * q, p * q - mixed**2), 0, 1)
-    t = np.clip(_share(mixed * s + across, q), 0, 1)
-    s = np.clip(_share(mixed * t - along, p), 0, 1)
+    s = np.clip(_quotient(mixed * across - along * q, p * q - mixed**2), 0, 1)
+    t = np.clip(_quotient(mixed * s + across, q), 0, 1)
+    s = np.clip(_quotient(mixed * t - along, p), 0, 1)
     return np.linalg.norm(apart + s[:, None] * first - t[:, None] * second, axis=1)
 
 
-def from_box(a: np.ndarray, b: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+def box_distances(a: np.ndarray, b: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Return the distances [m] of segments from a to b, each (n, 3), from a box with these corners (3,), shape (n,).
 
     The squared distance along a segment is convex, and its derivative is linear between the segment's intersections
@@ -48,9 +48,9 @@ def from_box(a: np.ndarray, b: np.ndarray, low: np.ndarray, high: np.ndarray) ->
     at = np.sort(np.hstack([np.clip(np.nan_to_num(passed), 0, 1), ends]), axis=1)
     points = start[:, None] + at[..., None] * way[:, None]
     slope = _dot(points - np.clip(points, -half, half), way[:, None])
-    after = (slope < 0).sum(axis=1).clip(1, at.shape[1] - 1)[:, None]  # the first place where it no longer falls
+    after = (slope < 0).sum(axis=1).clip(1, at.shape[1] - 1)[:, None]  # where the distance stops falling
     (t0, t1), (s0, s1) = ([np.take_along_axis(of, k, axis=1)[:, 0] for k in (after - 1, after)] for of in (at, slope))
-    nearest = start + (t0 + (t1 - t0) * np.clip(_share(-s0, s1 - s0), 0, 1))[:, None] * way
+    nearest = start + (t0 + (t1 - t0) * np.clip(_quotient(-s0, s1 - s0), 0, 1))[:, None] * way
     return np.linalg.norm(nearest - np.clip(nearest, -half, half), axis=1)
 
 
@@ -58,13 +58,13 @@ def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.asarray((a * b).sum(axis=-1))
 
 
-def _share(part: np.ndarray, whole: np.ndarray) -> np.ndarray:
+def _quotient(part: np.ndarray, whole: np.ndarray) -> np.ndarray:
     """Return the quotient, 0 where the denominator is zero."""
     return np.divide(part, whole, out=np.zeros_like(part), where=np.abs(whole) > SHORT)
 
 
 class Line(NamedTuple):
-    """A line of a skeleton: from its node start to its node end, of a link; way are the lines from the base to its end."""
+    """A line of a skeleton from node start to node end, of a link; way: the lines from the base to its end."""
 
     start: int
     end: int
@@ -73,8 +73,8 @@ class Line(NamedTuple):
 
 
 @lru_cache(maxsize=16)
-def drawn_lines(robot: Robot, flange: int) -> tuple[Line, ...]:
-    """Return the lines of a skeleton: to each joint from that which moves its link, to each tip, and from flange to reflector."""
+def skeleton_lines(robot: Robot, flange: int) -> tuple[Line, ...]:
+    """Return the lines of a skeleton: to each joint from its parent joint, to each tip, and from flange to reflector."""
     n, ways = robot.n_joints, [tuple(robot.chain(link)) for link in range(robot.n_joints + 1)]
     inner = [Line(on, i + 1, on, (*ways[on], i)) for i, on in enumerate(robot.parents)]
     tips = [Line(tip, k + 1, tip, (*ways[tip], k)) for k, tip in enumerate(robot.tips, start=n)]
@@ -85,11 +85,11 @@ def drawn_lines(robot: Robot, flange: int) -> tuple[Line, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Skeleton:
-    """Points [m] and directions at n poses, in the base's frame as the link on the floor sees it.
+    """Points [m] and directions at n poses, in the base frame, fixed to the link on the floor.
 
-    nodes (n, n_joints + n_tips + 3, 3) are the base's origin, each joint's, each tip's, that of the flange, which is the link that
-    the reflector is on, and the reflector; lines lead from one to another. axes (n, n_joints, 3) are the joints' axes, flange
-    (n, 3, 3) turns the flange's, bars (n, 3 or 0, 3) the pins P, Q and R of a loop.
+    nodes (n, n_joints + n_tips + 3, 3): origins of base, joints, tips and flange (the link of the reflector), and the
+    reflector; lines: their connections; axes (n, n_joints, 3): joint axes; flange (n, 3, 3): its orientation; bars
+    (n, 3 or 0, 3): pins P, Q and R of a loop.
     """
 
     lines: tuple[Line, ...]
@@ -113,7 +113,7 @@ class Skeleton:
         ends = np.cumsum([n + len(robot.tips) + 3, n, 3])
         nodes, axes, flange, bars = np.split(every, ends, axis=1)
         return cls(
-            drawn_lines(robot, robot.link(robot.markers[marker].on)), nodes, axes, np.swapaxes(flange, 1, 2), bars
+            skeleton_lines(robot, robot.link(robot.markers[marker].on)), nodes, axes, np.swapaxes(flange, 1, 2), bars
         )
 
     def part(self, which: np.ndarray) -> Self:
@@ -130,7 +130,7 @@ def line_lengths(robot: Robot) -> np.ndarray:
 
 
 def reflector(robot: Robot, marker: str, q: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Return the expressions of the marker (3,) and of its flange's turn (3, 3) at driven joint angles q (n_joints,)."""
+    """Return the expressions of the marker (3,) and its flange's orientation (3, 3) at driven joint angles q (n_joints,)."""
     point = _function(robot, marker)(ca.SX(0, 1), q)
     nodes = 3 * (robot.n_joints + len(robot.tips) + 3)
     turn = nodes + 3 * robot.n_joints
@@ -139,7 +139,7 @@ def reflector(robot: Robot, marker: str, q: ca.SX) -> tuple[ca.SX, ca.SX]:
 
 @lru_cache(maxsize=16)
 def _function(robot: Robot, marker: str) -> ca.Function:
-    """Return the function of driven joint angles that gives all points and directions, concatenated."""
+    """Return the function from driven joint angles to all points and directions, concatenated."""
     q = ca.SX.sym("q", robot.n_joints)
     at = pose(robot, nominal_dimensions(robot), q, Deflection.zero(robot.n_joints))
     stands = at.links[robot.ground - 1][:3, :3].T if robot.ground else ca.SX.eye(3)

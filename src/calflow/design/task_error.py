@@ -4,7 +4,7 @@ Candidates for lacking effects are the causes of the catalogue, a smooth backgro
 error of each pose. Each adds columns with amplitudes b ~ N(0, size²), so that its marginal likelihood has a closed form
 (Kass and Raftery 1995) without a refit; pairs are not considered, since proven causes are in the model.
 
-A draw from the posterior is a robot compatible with the data: its parameters, one lacking effect (see `Lacks`), one of
+A draw from the posterior is a robot compatible with the data: its parameters, one lacking effect (see `MissingEffects`), one of
 the diagnosis' rivals in a cause's place, and the excess error of poses left out in turn (see `LeftOut`). Smooth lacking
 errors are drawn from the error model, of all inputs together, if it has any; otherwise there are none, since an average
 size over all robots fits hardly any single one. The error is the distance of the draw's tool from the model's, without
@@ -43,11 +43,11 @@ from calflow.observations.position import Position
 Kind = Literal["nothing", "cause", "background", "pose"]
 ERROR_KINDS: tuple[Kind, ...] = ("nothing", "cause", "background", "pose")  # of equal prior probability
 TIMES_NOISE = 2.0 ** np.arange(-3.0, 4.5, 0.5)  # sizes of a background relative to the noise
-SILENT = 0.98  # posterior over prior variance above which the data are uninformative
+UNINFORMATIVE = 0.98  # posterior over prior variance above which the data are uninformative
 TASK_DRAWS = 2000
 
 
-def _device_wanders(effect: Effect) -> bool:
+def _is_device_drift(effect: Effect) -> bool:
     return isinstance(effect, Wandering) and effect.quantity.of_device()
 
 
@@ -65,27 +65,27 @@ class Form:
     def of_robot(self) -> bool:
         """Whether it moves the tool, unlike errors of the measuring device."""
         if self.kind == "background":
-            return not any(_device_wanders(effect) for effect in self.effects)
+            return not any(_is_device_drift(effect) for effect in self.effects)
         return not any(isinstance(effect, Cause) and effect.of_device() for effect in self.effects)
 
 
 @dataclass(frozen=True, eq=False)
-class Lack:
-    """A form of one size, with its log weight (prior times likelihood); amplitudes are in units of the form's sd."""
+class WeightedForm:
+    """A form of given size (of its amplitudes in units of sd), with its log weight: prior times marginal likelihood."""
 
     form: Form
     size: float
     log_weight: float
 
     @property
-    def alone(self) -> float:
+    def independent(self) -> float:
         """Size of an independent error of each row, relative to the noise."""
         return self.size if self.form.kind == "pose" else 0.0
 
 
 @dataclass(frozen=True, eq=False)
-class Lacks:
-    """The weighted candidates of lacking effects, and the screening of all their columns beside the model's parameters.
+class MissingEffects:
+    """The weighted candidates for missing effects, and the screening of all their columns beside the model's parameters.
 
     scatter [m]: standard deviation per axis of further errors of rows.
     """
@@ -93,11 +93,11 @@ class Lacks:
     fitted: Fitted
     effects: tuple[Effect, ...]
     screening: Screening[Cause]
-    every: tuple[Lack, ...]
+    every: tuple[WeightedForm, ...]
     scatter: float
 
     @staticmethod
-    def of(fitted: Fitted, catalogue: Catalogue) -> Lacks:
+    def of(fitted: Fitted, catalogue: Catalogue) -> MissingEffects:
         """Return the weights of all effects that a fitted model may lack beside the noise.
 
         A significant discrepancy is not one of them: it is among the sizes of the independent error of each pose.
@@ -110,8 +110,8 @@ class Lacks:
         seen = Screening(regressors)
         n_smooth = sum(len(effect.declared) for effect in smooth)
         forms = [*_causes(regressors, fitted.causes, smooth), *_backgrounds(regressors, kinds, n_smooth)]
-        weighed = [lack for kind in ERROR_KINDS for lack in _weighed(seen, kind, forms)]
-        return Lacks(fitted, effects, seen, tuple(weighed), bare.problem.scatter)
+        weighed = [lack for kind in ERROR_KINDS for lack in _weighted(seen, kind, forms)]
+        return MissingEffects(fitted, effects, seen, tuple(weighed), bare.problem.scatter)
 
     @cached_property
     def weights(self) -> np.ndarray:
@@ -124,16 +124,16 @@ class Lacks:
         """Posterior covariance of the free parameters if the model lacks nothing, (n_free, n_free)."""
         return self.parameters(0.0)[1]
 
-    def parameters(self, alone: float) -> tuple[np.ndarray, np.ndarray]:
+    def parameters(self, independent: float) -> tuple[np.ndarray, np.ndarray]:
         """Return mean (n_free,), relative to the estimate, and covariance (n_free, n_free) of the free parameters.
 
         alone: size of an independent error of each row, relative to the noise.
         """
-        r, level = self.screening.regressors, 1 + alone**2
+        r, level = self.screening.regressors, 1 + independent**2
         covariance = np.linalg.inv(_information(r, level))
         return -covariance @ _gradient(r, level), covariance
 
-    def amplitude(self, lack: Lack) -> tuple[np.ndarray, np.ndarray]:
+    def amplitude(self, lack: WeightedForm) -> tuple[np.ndarray, np.ndarray]:
         """Return posterior mean (n,) and covariance (n, n) of a lack's amplitudes, in their own units."""
         columns, sd = lack.form.columns, lack.form.sd * lack.size
         shown = self.screening.information(columns) * np.outer(sd, sd)
@@ -175,14 +175,16 @@ def _backgrounds(
             yield Form("background", " and ".join(inputs), tuple(effects), columns, sd / moved)
 
 
-def _weighed(seen: Screening[Cause], kind: Kind, forms: Sequence[Form]) -> Iterator[Lack]:
+def _weighted(seen: Screening[Cause], kind: Kind, forms: Sequence[Form]) -> Iterator[WeightedForm]:
     """Yield the weighted forms of one kind: equal priors for its names, and within each for forms and sizes."""
     nothing = Form(kind, kind, (), np.arange(0), np.zeros(0))
     if kind == "nothing":
-        yield Lack(nothing, 0.0, 0.0)
+        yield WeightedForm(nothing, 0.0, 0.0)
     elif kind == "pose":
         for size in TIMES_NOISE:
-            yield Lack(nothing, float(size), _alone(seen, float(size)) - np.log(len(TIMES_NOISE)))
+            yield WeightedForm(
+                nothing, float(size), _independent_likelihood(seen, float(size)) - np.log(len(TIMES_NOISE))
+            )
     else:
         of_kind = [form for form in forms if form.kind == kind]
         names = Counter(form.name for form in of_kind)
@@ -191,7 +193,7 @@ def _weighed(seen: Screening[Cause], kind: Kind, forms: Sequence[Form]) -> Itera
         for form in of_kind:
             weights = _likelihoods(seen, form, sizes) + prior - np.log(len(names) * names[form.name])
             for size, log_weight in zip(sizes, weights, strict=True):
-                yield Lack(form, float(size), float(log_weight))
+                yield WeightedForm(form, float(size), float(log_weight))
 
 
 def _likelihoods(seen: Screening[Cause], form: Form, sizes: np.ndarray) -> np.ndarray:
@@ -201,7 +203,7 @@ def _likelihoods(seen: Screening[Cause], form: Form, sizes: np.ndarray) -> np.nd
     return (fallen - narrowed) / 2
 
 
-def _alone(seen: Screening[Cause], size: float) -> float:
+def _independent_likelihood(seen: Screening[Cause], size: float) -> float:
     """Return the same for an independent error of each row, which is equivalent to larger noise."""
     r, level = seen.regressors, 1 + size**2
     information, gradient = _information(r, level), _gradient(r, level)
@@ -280,7 +282,7 @@ class Site:
         unknown = [
             k
             for k, (parameter, variance) in enumerate(zip(fit.model.parameters, np.diag(fit.covariance), strict=True))
-            if parameter.part in markers and variance > SILENT * parameter.prior_sd**2
+            if parameter.part in markers and variance > UNINFORMATIVE * parameter.prior_sd**2
         ]
         return np.asarray(np.linalg.qr(self.slopes[:, :, unknown].reshape(3 * len(self.slopes), len(unknown)))[0])
 
@@ -291,16 +293,20 @@ class Site:
         model = replace(whole, observations=(Position.planned(Series()),))
         return model, whole.handed_on(self.fitted.fit.estimate, model), Planned(model.observations[0], 1.0)
 
-    def left(self, lacks: Lacks, forms: Sequence[Form]) -> Iterator[np.ndarray]:
+    def left(self, missing: MissingEffects, forms: Sequence[Form]) -> Iterator[np.ndarray]:
         """Yield for each form the tool's displacement by a unit of each column, after refitting, (n_points, 3, n)."""
         free = self.slopes[:, :, np.flatnonzero(~self.fitted.fit.at_bound)]
-        moved = self.moved(lacks.effects)
+        moved = self.moved(missing.effects)
         for form in forms:
-            yield free @ lacks.response(form.columns) + (moved[:, :, form.columns] if form.of_robot else 0.0)
+            yield free @ missing.response(form.columns) + (moved[:, :, form.columns] if form.of_robot else 0.0)
 
 
 def task_error(
-    lacks: Lacks, rivals: Sequence[Sequence[Alternative]], site: Site, measure: Measure, rng: np.random.Generator
+    missing: MissingEffects,
+    rivals: Sequence[Sequence[Alternative]],
+    site: Site,
+    measure: Measure,
+    rng: np.random.Generator,
 ) -> TaskError:
     """Return posterior draws of the calibrated tool's error over the task.
 
@@ -308,12 +314,12 @@ def task_error(
     count.
     rivals: alternatives for each cause that was found, of which one or none is true.
     """
-    fitted = lacks.fitted
-    lack = rng.choice(len(lacks.every), TASK_DRAWS, p=lacks.weights)
-    drawn = [(lacks.every[k], np.flatnonzero(lack == k)) for k in np.unique(lack)]
-    error, lacking = _beside_noise(site, lacks, drawn, rng)
+    fitted = missing.fitted
+    lack = rng.choice(len(missing.every), TASK_DRAWS, p=missing.weights)
+    drawn = [(missing.every[k], np.flatnonzero(lack == k)) for k in np.unique(lack)]
+    error, lacking = _without_smooth(site, missing, drawn, rng)
     if fitted.errors.functions:
-        smooth = np.isin(lack, [k for k, candidate in enumerate(lacks.every) if candidate.form.kind == "background"])
+        smooth = np.isin(lack, [k for k, candidate in enumerate(missing.every) if candidate.form.kind == "background"])
         error[smooth], lacking[smooth] = (part[smooth] for part in _smooth(site, fitted, rng))
         drawn = [(candidate, draws) for candidate, draws in drawn if candidate.form.kind != "background"]
     for others in rivals:
@@ -322,40 +328,40 @@ def task_error(
         for k, other in enumerate(others):
             lacking[chosen == k] += other.apart(fitted.model, fitted.fit.estimate, site.conditions)
     forms = list({id(candidate.form): candidate.form for candidate, _ in drawn}.values())
-    slopes = dict(zip(map(id, forms), site.left(lacks, forms), strict=True))
+    slopes = dict(zip(map(id, forms), site.left(missing, forms), strict=True))
     for candidate, draws in drawn:
         shape = lacking[draws].shape
-        if candidate.alone:
-            lacking[draws] += candidate.alone * lacks.scatter * rng.standard_normal(shape)
+        if candidate.independent:
+            lacking[draws] += candidate.independent * missing.scatter * rng.standard_normal(shape)
         elif len(candidate.form.columns):
-            mean, covariance = lacks.amplitude(candidate)
+            mean, covariance = missing.amplitude(candidate)
             amplitude = mean + _normal(len(draws), covariance, rng)
             lacking[draws] += np.einsum("nab,kb->kna", slopes[id(candidate.form)], amplitude, optimize=True)
     taught = site.taught
     error, lacking = (
         off - ((off.reshape(TASK_DRAWS, -1) @ taught) @ taught.T).reshape(off.shape) for off in (error, lacking)
     )
-    names = tuple(lacks.every[k].form.name for k in lack)
+    names = tuple(missing.every[k].form.name for k in lack)
     return TaskError(_size(error + lacking, measure), _size(lacking, measure), names)
 
 
-def _beside_noise(
-    site: Site, lacks: Lacks, drawn: Sequence[tuple[Lack, np.ndarray]], rng: np.random.Generator
+def _without_smooth(
+    site: Site, missing: MissingEffects, drawn: Sequence[tuple[WeightedForm, np.ndarray]], rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
     """Draw parameter errors, and the errors with parameters known (n_draws, n_points, 3) [m], without smooth errors.
 
     drawn: the lacking effects, and the draws of each.
     """
-    fitted, free = lacks.fitted, np.flatnonzero(~lacks.fitted.fit.at_bound)
+    fitted, free = missing.fitted, np.flatnonzero(~missing.fitted.fit.at_bound)
     drawn_parameters, level = np.empty((TASK_DRAWS, len(free))), _levels(fitted, rng)
-    for alone in {lack.alone for lack, _ in drawn}:
-        joined = np.concatenate([draws for lack, draws in drawn if lack.alone == alone])
-        mean, covariance = lacks.parameters(alone)
+    for independent in {lack.independent for lack, _ in drawn}:
+        joined = np.concatenate([draws for lack, draws in drawn if lack.independent == independent])
+        mean, covariance = missing.parameters(independent)
         drawn_parameters[joined] = mean + level[joined, None] * (_normal(len(joined), covariance, rng))
     error = np.einsum("nap,kp->kna", site.slopes[:, :, free], drawn_parameters, optimize=True)
     elsewhere = fitted.left_out.drawn(TASK_DRAWS, rng)
     # An independent error of each pose cannot be distinguished from unknown noise.
-    apart = 0.0 if fitted.noise.known else lacks.scatter
+    apart = 0.0 if fitted.noise.known else missing.scatter
     lacking = np.hypot(apart, elsewhere)[:, None, None] * rng.standard_normal(error.shape)
     return error, lacking
 
@@ -365,7 +371,7 @@ def _smooth(site: Site, fitted: Fitted, rng: np.random.Generator) -> tuple[np.nd
 
     Drift of the measuring device does not move the tool.
     """
-    still = np.array([not _device_wanders(function) for function in fitted.errors.function_of], dtype=bool)
+    still = np.array([not _is_device_drift(function) for function in fitted.errors.function_of], dtype=bool)
     errors = fitted.errors.only(still)
     moved = errors.at(fitted.model, fitted.fit.estimate, site.conditions).moved
     off = _normal(TASK_DRAWS, fitted.covariance - np.outer(errors.offset, errors.offset), rng)

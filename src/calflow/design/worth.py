@@ -24,13 +24,13 @@ from calflow.model import Model, build
 from calflow.observations.position import Position
 from calflow.robot.parts import Marker, Named
 
-ASIDE = 0.3  # m from the first marker to a hypothetical second one
+ASIDE = 0.3  # m: distance of a hypothetical second marker from the first
 SECOND = "second"
-PARAMETERS_NAMED = 3  # parameters that gain most
-LEAST_GAIN = 1.0  # percent: least reduction of a standard deviation for a parameter to be named
-LEAST_SHARE = 0.01  # least share of the tool's error of a parameter that is named
+PARAMETERS_NAMED = 3  # largest number of parameters named
+LEAST_GAIN = 1.0  # percent: least reduction of a named parameter's standard deviation
+LEAST_SHARE = 0.01  # least contribution of a named parameter to the tool's error
 FURTHER = 10  # further poses whose gain is reported
-MOST_POSES = 1000  # poses: nobody measures more
+MOST_POSES = 1000  # largest number of poses considered
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,9 +46,9 @@ class Worth:
     gain_mm: float = column("its reduction relative to the plan", "mm")
     gain_percent: float = column("the same, of the plan's", "%")
     parameters: tuple[str, ...] = column(
-        "of those that move the tool over the task, the ones whose standard deviations fall most, the most first"
+        "the parameters relevant to the tool whose standard deviations fall most, the largest reduction first"
     )
-    falls_percent: tuple[float, ...] = column("by how much each of them falls", "%")
+    falls_percent: tuple[float, ...] = column("reduction of each of these standard deviations", "%")
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,11 +75,11 @@ class PlanInformation:
 
     @cached_property
     def covariance(self) -> np.ndarray:
-        """What the poses leave of the parameters, (n_parameters, n_parameters)."""
+        """The posterior covariance with the poses, (n_parameters, n_parameters)."""
         return np.linalg.inv(information(self.own, self.prior))
 
     def seen(self, payload: str, marker: str) -> np.ndarray:
-        """Return the same under another payload, or of another marker."""
+        """Return the whitened Jacobians with another payload or marker, (n, n_units, n_parameters)."""
         return self._whitened(self.model, payload, marker)
 
     def _whitened(self, model: Model, payload: str, marker: str) -> np.ndarray:
@@ -87,8 +87,8 @@ class PlanInformation:
         return self.planned.whitened(model, model.nominal, conditions) * model.prior_sd
 
     @property
-    def informations(self) -> Iterator[tuple[str, int, int, np.ndarray]]:
-        """Yield in words what may be added, how many poses and points there are then, and the information with it."""
+    def additions(self) -> Iterator[tuple[str, int, int, np.ndarray]]:
+        """Yield each addition in words, the numbers of poses and points with it, and the information."""
         n, robot = len(self.readings), self.model.robot
         current = information(self.own, self.prior)
         every_other = np.arange(n) % 2 == 1
@@ -110,41 +110,39 @@ class PlanInformation:
             yield f"{more} further poses", n + more, n + more, information(self.further, current)
 
     def _second_marker(self) -> np.ndarray:
-        """What a marker tells that the robot file does not have, at the flange's side that has the most lever."""
+        """Return the information of a marker not in the robot file, offset along the flange axis with the largest lever."""
         robot, effects = self.model.robot, [effect.id for effect in self.model.effects]
         first = np.array(robot.markers[self.marker].point)
         aside = np.where(np.arange(3) == np.argmin(np.abs(first[:2])), ASIDE, 0.0)
         markers = Named({**robot.markers, SECOND: Marker(tuple(first + aside))})
         model = build(replace(robot, markers=markers), effects, self.model.given, self.model.observations)
-        return self._shared(model, self._whitened(model, self.payload, SECOND))
+        return self._marginal_information(model, self._whitened(model, self.payload, SECOND))
 
     def _second_station(self) -> np.ndarray:
-        """What a device tells that is as sure as the first in every direction, and stands nobody knows where."""
+        """Return the information of a second device with the same noise at an unknown pose."""
         second = Position.at(Series(station=Station(SECOND)), (0.0,) * 6)
         model = replace(self.model, observations=(*self.model.observations, second))
         conditions = packed_conditions(model, self.readings, self.payload, self.marker)
         reported = np.vstack([model.point(model.nominal, conditions).T, np.ones(len(self.readings))])
         jacobian = model.observed_jacobian(second, model.nominal, conditions, reported)
-        return self._shared(model, jacobian * model.prior_sd / self.planned.sigma)
+        return self._marginal_information(model, jacobian * model.prior_sd / self.planned.sigma)
 
-    def _shared(self, model: Model, whitened: np.ndarray) -> np.ndarray:
-        """Return what a wider model's Jacobians (n, n_units, n_wider) tell of the plan's parameters, its own integrated out."""
+    def _marginal_information(self, model: Model, whitened: np.ndarray) -> np.ndarray:
+        """Return the information of a wider model's Jacobians (n, n_units, n_wider) with its own parameters marginalised."""
         names = [parameter.name for parameter in model.parameters]
         shared = [names.index(parameter.name) for parameter in self.model.parameters]
         separate = np.setdiff1d(np.arange(len(names)), shared)
         flat = whitened.reshape(-1, len(names))
-        mixed, alone = (
-            flat[:, separate].T @ flat[:, shared],
-            flat[:, separate].T @ flat[:, separate] + np.eye(len(separate)),
-        )
-        return np.asarray(flat[:, shared].T @ flat[:, shared] - mixed.T @ np.linalg.solve(alone, mixed))
+        kept, nuisance = flat[:, shared], flat[:, separate]
+        mixed = nuisance.T @ kept
+        return kept.T @ kept - mixed.T @ np.linalg.solve(nuisance.T @ nuisance + np.eye(len(separate)), mixed)
 
     @cached_property
     def worth(self) -> tuple[Worth, ...]:
-        """The plan as it is, then with each addition, the one that gains most first."""
+        """The plan as it is, then with each addition, the most effective first."""
         n = len(self.readings)
         plain, *rest = (
-            self._row(*arguments) for arguments in (("", n, n, information(self.own, self.prior)), *self.informations)
+            self._row(*arguments) for arguments in (("", n, n, information(self.own, self.prior)), *self.additions)
         )
         return (plain, *sorted(rest, key=lambda row: row.expected_sd_mm))
 
@@ -163,33 +161,33 @@ class PlanInformation:
 
 
 def worth_words(worth: Sequence[Worth]) -> list[str]:
-    """Say the two additions to a plan, the plan itself first in worth, that gain most."""
+    """Return in words the two most effective additions; worth: the plan itself first."""
     return [
-        f"{row.addition}: the tool is certain to {rounded(row.expected_sd_mm)} mm instead of {rounded(worth[0].expected_sd_mm)} "
-        f"({row.gain_percent:.0f} % less)"
+        f"{row.addition}: the tool's standard deviation is {rounded(row.expected_sd_mm)} mm instead of "
+        f"{rounded(worth[0].expected_sd_mm)} ({row.gain_percent:.0f} % less)"
         for row in worth[1:3]
     ]
 
 
 @dataclass(frozen=True, kw_only=True)
 class HowMany:
-    """How many poses are worth their time: the knee of the curve, what ten more are worth, and how many meet the tolerance."""
+    """The number of poses: the knee of the curve, the gain by ten more, and the number that meets the tolerance."""
 
     n_poses: int = column("number of poses chosen")
     expected_sd_mm: float = column(
         "root mean square over the task of the predicted position's standard deviation with them", "mm"
     )
-    next_ten_mm: float = column("by how much ten more of the candidates would lower it", "mm")
-    knee_poses: int = column("where the curve of `observability.csv` bends most: fewer cost much, more gain little")
-    tolerance_mm: float | None = column("the standard deviation that the study asks for", "mm", default=None)
+    next_ten_mm: float = column("its reduction by ten more of the candidates", "mm")
+    knee_poses: int = column("knee of the curve of `observability.csv`, below which the error rises steeply")
+    tolerance_mm: float | None = column("the standard deviation required by the study", "mm", default=None)
     enough_poses: int | None = column(
-        "poses with which it is met; null: no tolerance, or not with as many as there are", default=None
+        "number of poses that meets it; null: no tolerance, or not met with all candidates", default=None
     )
-    needed_poses: int | None = column("no choice of fewer of these candidates meets it", default=None)
+    needed_poses: int | None = column("lower bound: no choice of fewer candidates meets it", default=None)
 
 
 def next_best(jacobians: np.ndarray, gathered: np.ndarray, chosen: list[int], tool: ToolError) -> np.ndarray:
-    """Return the ten candidates, besides those chosen, with which the tool's error falls most, the best one after the other."""
+    """Return ten further candidates, each in turn the one that reduces the tool's error most."""
     promise = sensitivities(jacobians, tool.slope(np.linalg.inv(gathered)))
     promise[chosen] = -np.inf
     near = np.argsort(promise)[len(chosen) :][-SHORTLIST:]
@@ -203,12 +201,13 @@ def knee(numbers: np.ndarray, errors: np.ndarray) -> int:
     return int(numbers[np.argmax(1 - across - up)])
 
 
-def enough(
+def poses_for_tolerance(
     jacobians: np.ndarray, prior: np.ndarray, tool: ToolError, tolerance: float, rng: np.random.Generator
 ) -> tuple[int | None, int | None]:
-    """Return with how many poses the tool's error [m] meets a tolerance, and how many any choice needs; None where none do.
+    """Return the number of poses that meets a tolerance [m] of the tool's error, and a lower bound for any choice.
 
-    The second is the least number whose bound meets it; from there on poses are chosen until they do.
+    None if none do. The bound is the least number permitted by `bound_allows`; from there poses are chosen until they
+    meet the tolerance.
     """
 
     def possible(number: int) -> bool:
@@ -217,7 +216,7 @@ def enough(
     if tool.loss(np.linalg.inv(prior)) <= tolerance:
         return 0, 0
     most = min(MOST_POSES, len(jacobians))
-    low, high = 0, 1  # of low poses none meet it
+    low, high = 0, 1  # low poses cannot meet it
     while not possible(high):
         if high == most:
             return None, None

@@ -11,7 +11,7 @@ import numpy as np
 from calflow.design.discrimination import fitted_share, planned_like
 from calflow.design.next_poses import (
     CONFIDENCE,
-    SURER,
+    PRECISION,
     MeasuringVerdict,
     NextPosesRequest,
     NextStep,
@@ -104,7 +104,7 @@ def _initial_step(
         fitted_poses=0 if data is None else data.table.loc[data.train, "pose"].nunique(),
         measure=_measure(settings), confidence=confidence, tolerance_mm=in_mm(tolerance), notes=notes,
     )  # fmt: skip
-    reason = "surer parameters" if settings.aim == "parameters" else SURER
+    reason = "surer parameters" if settings.aim == "parameters" else PRECISION
     return NextStep(verdict, numbered_on(chosen.poses.assign(reason=reason), data))
 
 

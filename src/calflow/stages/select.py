@@ -15,7 +15,7 @@ from calflow.design.selection import Certificate, Observability, PlannedPose, Se
 from calflow.design.separability import (
     Isolability,
     IsolabilityCell,
-    Visits,
+    MeasuringPlan,
     isolability,
     isolability_gaps,
     isolability_summary,
@@ -222,21 +222,21 @@ def _isolability(context: Context, model: Model, planned: Planned, chosen: Selec
     study, settings, n = context.study, context.settings, len(chosen.readings)
     marker = settings.marker or next(iter(model.robot.markers))
     records = frozenset(settings.records) | (frozenset() if chosen.vias is None else SIDES)
-    visits = Visits(model.robot, chosen.readings, (settings.payload,) * n, (marker,), records, chosen.vias)
+    plan = MeasuringPlan(model.robot, chosen.readings, (settings.payload,) * n, (marker,), records, chosen.vias)
     more, _ = candidates(
         model, n, settings.payload, marker, settings.region, context.rng("further poses"), planned.observation
     )
     false_alarm = float(study.settings("diagnose").get("false_alarm", FALSE_ALARM))
 
-    def isolability_of(of: Visits) -> Isolability:
+    def isolability_of(of: MeasuringPlan) -> Isolability:
         rng = context.rng("isolability")  # the same noise for every plan, so that only the plans differ
         return isolability(
             study.file.effects, planned, of, rng, size=settings.isolability_size, false_alarm=false_alarm,
             holdout=study.file.split.holdout, seed=study.file.seed,
         )  # fmt: skip
 
-    now = isolability_of(visits)
-    tried = {words: isolability_of(added) for words, added in visits.additions(more)}
+    now = isolability_of(plan)
+    tried = {words: isolability_of(added) for words, added in plan.additions(more)}
     table = now.table(settings.isolability_size, tried)
     context.say(isolability_summary(table))
     gaps = isolability_gaps(table)
