@@ -17,10 +17,12 @@ from calflow.effects.geometry import Geometry
 from calflow.estimation.accuracy import errors, judged_unit
 from calflow.estimation.calibrated_model import CalibratedModel, with_maps_held
 from calflow.estimation.certainty import errors_in, tested_rows
+from calflow.estimation.model_tables import ModelObservation
 from calflow.estimation.registration import in_measuring_frame
 from calflow.files.deferred import pd
 from calflow.files.units import METRE, MeasurementUnit
 from calflow.measurements.measurements import Measurements
+from calflow.observations.base import observation_kinds
 from calflow.robot.robot import Robot
 from calflow.study import StudyFile
 
@@ -160,7 +162,8 @@ class Material(RunOutcome):
     @property
     def is_of_positions(self) -> bool:
         """Whether positions or poses alone were measured, so that errors are the tool's."""
-        return all(observation.from_outside for observation in self.calibrated.model.observations)
+        rows, kinds = self.results.rows("identify/observations.csv", ModelObservation), observation_kinds()
+        return all(kinds[row.kind].from_outside for row in rows)
 
     @cached_property
     def sigma(self) -> np.ndarray:

@@ -49,7 +49,6 @@ from calflow.reporting.sections.acceptance import (
     verdict_card,
 )
 from calflow.reporting.sections.task import answer
-from calflow.reporting.sections.validity import promises
 from calflow.reporting.style import ACCENT, DARK, LIGHT, figure, mark_floor
 
 NOISE_UNKNOWN = "its noise is not known, so its share of the error is not known either"
@@ -122,7 +121,7 @@ def _cards(material: Material) -> list[Card]:
         _, expected = over_ranges(rows)
         largest = f"largest {mm(expected.max_mm)} mm, over the joints' ranges"
         cards.append(Card("mean error of the tool, expected", mm(expected.mean_mm), largest))
-    elif promises(material) and not material.is_of_positions:
+    elif material.summary.new_poses_mm is not None and not material.is_of_positions:
         sd = material.certainty.prediction_sd_mm
         cards.append(Card("RMS error of the tool, expected", mm(sd), "the errors at left are of what was measured"))
     return cards
