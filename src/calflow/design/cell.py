@@ -93,16 +93,10 @@ class Cell(Record):
         gt=0, le=np.pi, description="largest angle between that axis and a station: half the cone's opening, e.g. `acceptance_deg`",
     )] = None  # fmt: skip
     line_of_sight: Annotated[
-        bool,
-        Rule(
-            description="whether links, boxes and cylinders must not obstruct the line of sight from a station to the reflector"
-        ),
+        bool, Rule(description="whether links, boxes and cylinders must not obstruct the line of sight to a station")
     ] = True
     sight_from: Annotated[
-        Length,
-        Rule(
-            ge=0, description="distance from the reflector within which obstructions are ignored, e.g. `sight_from_mm`"
-        ),
+        Length, Rule(ge=0, description="obstructions nearer to the reflector are ignored, e.g. `sight_from_mm`")
     ] = 0.0
     link_radii: Annotated[Radii | None, Rule(
         description="radii of the links, one per joint, e.g. `link_radii_mm`; 4 % of the stretched arm's length. The base has the "

@@ -62,15 +62,10 @@ def _turned(data: Measurements, joint: int, compared: TorqueComparison | None, c
     number, why = joint + 1, "like those of joints loaded by gravity"
     if compared:
         why = f"correlation {compared.correlation:.3f} with {compared.against}"
-    correction, action = (
-        Correction(0, f"tau{number}", factor=-1.0),
-        f"corrected in memory; change the sign of column tau{number}",
-    )
+    correction = Correction(0, f"tau{number}", factor=-1.0) if clear else Correction(0)
+    action = f"corrected in memory; correct column tau{number}, too"
     if not clear:
-        correction, action = (
-            Correction(0),
-            f"not changed, since other joints' are right: check the sign convention of tau{number}",
-        )
+        action = f"not changed, since other joints' are right: check the sign convention of tau{number}"
     statement = f"joint {number}: measured torques have the wrong sign ({why}); {action}"
     return fault("torque-sign", data, number, [correction], "corrected" if clear else "told", statement)
 

@@ -194,9 +194,7 @@ def _coupled(data: Measurements) -> Iterator[Mistake]:
         if joints[i].kind == joints[j].kind == "revolute":
             for factor in (1, -1):
                 words = f"the readings in column q{i + 1} do not count from the previous link: joint {j + 1} turns that joint, too"
-                remedy = (
-                    f"state joint = {i + 1}, source = {j + 1}, factor = {factor} in [[couplings]] of the robot file"
-                )
+                remedy = f"state joint = {i + 1}, source = {j + 1}, factor = {factor} in [[couplings]] (robot file)"
                 yield Mistake("joint-coupled", i + 1, _added(i, j, factor * joints[i].sign), words, remedy=remedy)
 
 
@@ -222,9 +220,7 @@ def _axes(data: Measurements, setup: Setup) -> Iterator[Mistake]:
         names, meant = [max(away, key=away.__getitem__)], ""
     else:
         names = ["y"]
-    every = (
-        (0,) if len(data.series) == 1 else range(1, len(data) + 1)
-    )  # other series have their own values in these columns
+    every = (0,) if len(data.series) == 1 else range(1, len(data) + 1)  # other series use these columns, too
     # One representative has the probability of all.
     for name in names:
         yield replace(_reflected(name, meant, every), log_prior=LOG_ODDS + np.log(len(REFLECTIONS) / len(names)))
@@ -264,9 +260,8 @@ def _names(data: Measurements, label: str) -> Iterator[Mistake]:
             words = f"{label}s {name} and {other} are exchanged"
             remedy = "exchange their names in the measurement file, or in the robot file"
             undo = _mapped({first + i: (first + j, 1.0), first + j: (first + i, 1.0)})
-            yield Mistake(
-                f"{label}s-exchanged", 0, undo, words, where=f"{MEASUREMENT_FILE} or {ROBOT_FILE}", remedy=remedy
-            )
+            where = f"{MEASUREMENT_FILE} or {ROBOT_FILE}"
+            yield Mistake(f"{label}s-exchanged", 0, undo, words, where=where, remedy=remedy)
 
 
 def _table_units(data: Measurements) -> Iterator[Mistake]:
@@ -393,9 +388,8 @@ class LinkDimensions:
     def mistyped(self) -> Iterator[Mistake]:
         """Yield lengths and zeros with an arbitrary value."""
         for k in (*self.lengths, *self.turns):
-            yield Mistake(
-                "figure-mistyped", self.parameters[k].joint, _freed(k), self._mistyped(k), LOG_ODDS + ARBITRARY
-            )
+            joint, log_prior = self.parameters[k].joint, LOG_ODDS + ARBITRARY
+            yield Mistake("figure-mistyped", joint, _freed(k), self._mistyped(k), log_prior)
 
     def _mistyped(self, k: int) -> Callable[[FittedSetup], str]:
         def words(explanation: FittedSetup) -> str:
@@ -410,9 +404,8 @@ class LinkDimensions:
         for name in self.data.robot.markers:
             columns = [k for k in self.setup.stated if self.parameters[k].part == name]
             if columns:
-                yield Mistake(
-                    "marker-elsewhere", 0, _freed(*columns), self._marker(name, columns), 3 * ANYWHERE + LOG_ODDS
-                )
+                log_prior = 3 * ANYWHERE + LOG_ODDS
+                yield Mistake("marker-elsewhere", 0, _freed(*columns), self._marker(name, columns), log_prior)
 
     def _marker(self, name: str, columns: list[int]) -> Callable[[FittedSetup], str]:
         def words(explanation: FittedSetup) -> str:

@@ -47,21 +47,7 @@ NEARER = 0.1  # largest ratio of the errors with the other numbering
 ODD_ROW_FALSE_ALARM = 1 / 500  # false-alarm rate per gap; below 1 / 300 for all gaps tried
 REMOVED, LEAST_REMOVED = 0.1, 3  # largest share and number of rows tested against the others
 GAPS = 3  # number of gaps tried
-TAIL_DEGREES = (
-    2.5,
-    3.0,
-    3.5,
-    4.0,
-    5.0,
-    6.0,
-    8.0,
-    11.0,
-    15.0,
-    22.0,
-    35.0,
-    60.0,
-    1e3,
-)  # candidate degrees of freedom of Student's t
+TAIL_DEGREES = (2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 8.0, 11.0, 15.0, 22.0, 35.0, 60.0, 1e3)  # of Student's t, candidates
 DOUBT = 2.0  # fall of twice the log-likelihood within which heavier tails are considered
 MIN_TAIL_VALUES = 60  # least number of values for a tail
 TINY = 1e-12  # standard deviations: below it residuals are rounding
@@ -229,11 +215,8 @@ def _limit(good: np.ndarray, size: int, rows: int) -> float:
         if 2 * (cost - best) <= DOUBT
     )
     chance = ODD_ROW_FALSE_ALARM / rows
-    alone = (
-        scipy.stats.t.isf(chance / (2 * size), degrees)
-        if degrees < TAIL_DEGREES[-1]
-        else scipy.stats.norm.isf(chance / (2 * size))
-    )
+    tail = scipy.stats.t(degrees) if degrees < TAIL_DEGREES[-1] else scipy.stats.norm
+    alone = tail.isf(chance / (2 * size))
     return float(scale * max(scipy.stats.chi.isf(chance, size), TOGETHER * alone))
 
 

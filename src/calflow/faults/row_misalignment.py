@@ -98,10 +98,7 @@ def _realigning(data: Measurements, fit: RobustFit, lags: list[int]) -> Iterator
         return
     predicted, position = fit.predicted(data.conditions), data.position
     costs = np.stack(
-        [
-            state_cost(np.linalg.norm(position - _shifted_values(predicted, lag), axis=1), fit.scale)
-            for lag in (0, *lags)
-        ]
+        [state_cost(np.linalg.norm(position - _lagged(predicted, lag), axis=1), fit.scale) for lag in (0, *lags)]
     )
     source = _sources(np.array([0, *lags])[states(costs, CHANGE)])
     partnered = np.flatnonzero((source != np.arange(len(data))) & (source >= 0))
@@ -124,7 +121,7 @@ def _sources(lag: np.ndarray) -> np.ndarray:
     return source
 
 
-def _shifted_values(values: np.ndarray, lag: int) -> np.ndarray:
+def _lagged(values: np.ndarray, lag: int) -> np.ndarray:
     """Return values (n_rows, 3) shifted by a number of rows; nan beyond the ends."""
     shifted = np.full_like(values, np.nan)
     n = len(values)
@@ -146,7 +143,7 @@ def _initial_sources(data: Measurements, setup: Setup, lags: list[int]) -> np.nd
     best, lag, every = whole, np.zeros(len(data), dtype=int), np.arange(len(data))
     tried = every[:: -(-len(data) // BEGINNINGS)]
     for by in lags:
-        for later, errors in enumerate(split_errors(plain, rigid_sums(_shifted_values(points, by), measured), tried)):
+        for later, errors in enumerate(split_errors(plain, rigid_sums(_lagged(points, by), measured), tried)):
             k = int(errors.argmin())
             if errors[k] < best:
                 best, lag = errors[k], np.where((every > tried[k]) == later, by, 0)

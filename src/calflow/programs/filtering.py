@@ -173,14 +173,12 @@ def filter_program(
         raise InputError(problems) from None
     loads = robot.payloads if payload is None else ()
     empty = [f"no --payload: the robot is taken to carry none of {', '.join(loads)}"] if loads else []
-    coupled = (
-        maker == "fanuc" and not robot.couplings and any(target.turn is None for _, target in all_targets(programs))
-    )
+    joint_targets = any(target.turn is None for _, target in all_targets(programs))
     return replace(
         done,
         files={**files, **done.files},
         rows=(*(skipped_row(file, entry) for file, entry in unread), *done.rows),
-        notes=(*empty, *([COUPLED] if coupled else ()), *done.notes),
+        notes=(*empty, *([COUPLED] if maker == "fanuc" and joint_targets and not robot.couplings else ()), *done.notes),
     )
 
 
