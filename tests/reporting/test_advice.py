@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-import shutil
-import subprocess
 from collections.abc import Mapping
 from dataclasses import fields, replace
 from types import SimpleNamespace
@@ -38,6 +36,7 @@ from calflow.reporting.sections.accuracy import leftover, new_poses_words
 from calflow.reporting.sections.verdict import foremost, headline, open_questions
 from calflow.sampling.posterior import ChainSummary
 from calflow.sampling.task_points import TaskSummary
+from reporting.pdf import pages_of
 
 SUMMARY = IdentifySummary(
     noise_sources=("file",), sigma_mm=0.05, discrepancy_mm=0.0, discrepancies={"mm": 0.0}, rest_mm=0.0,
@@ -410,7 +409,6 @@ def test_the_most_urgent_stands_first_and_absent_tables_are_no_matter() -> None:
     assert all(isinstance(item, Advice) for item in advice(given))
 
 
-@pytest.mark.skipif(shutil.which("pdftotext") is None, reason="pdftotext is not installed")
 @pytest.mark.parametrize(("number", "above", "first"), [(1, 5, 1), (5, 5, 5), (12, 5, 12), (40, 5, 21), (40, 45, 3)])
 def test_steps_without_room_on_the_first_page_are_told_further_on(number: int, above: int, first: int) -> None:
     """Fails if a step is lost, told twice or out of its order, or if there is a list of further steps with none in it."""
@@ -419,8 +417,8 @@ def test_steps_without_room_on_the_first_page_are_told_further_on(number: int, a
         [f"step {k}: {'so much to do ' * 20}" for k in range(number)],
     )
     pdf = typst.compile(document.source("t", [("Verdict", [page]), ("Next", [])]).encode(), ignore_system_fonts=True)
-    made = subprocess.run(["pdftotext", "-layout", "-", "-"], input=pdf, capture_output=True).stdout.decode()
-    pages = [re.findall(r"step (\d+):", page) for page in made.split("\f")]
+    told = pages_of(pdf)
+    pages, made = [re.findall(r"step (\d+):", page) for page in told], "\n".join(told)
     assert [int(k) for page in pages for k in page] == list(range(number))
     assert len(pages[0]) == first
     assert ("Further steps\n" in made) == (number > first)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-import shutil
-import subprocess
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -12,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from calflow.deployment.run_outcome import RunOutcome
 from calflow.diagnosis.diagnosis import DiagnosisSummary
@@ -39,6 +36,7 @@ from reporting.case import (
     with_select,
 )
 from reporting.page_one import page_one, texts, unfit, unreadable
+from reporting.pdf import pages_of, pictures_of
 from reporting.test_advice import QUIET, SPEAKS, promised, results
 from reporting.test_html import Reader
 
@@ -105,12 +103,10 @@ class Cells(Reader):
         super().handle_data(f"{data} ")
 
 
-@pytest.mark.skipif(shutil.which("pdftotext") is None, reason="pdftotext is not installed")
 def test_pdf_and_page_say_the_same(written: Callable[..., Path]) -> None:
     """Fails if a figure stands in the page alone, or in the PDF alone: both are written from the same blocks."""
     folder = written(OR_HYSTERESIS, COUPLED)
-    command = ["pdftotext", "-raw", str(folder / "report.pdf"), "-"]
-    pdf = subprocess.run(command, capture_output=True, text=True).stdout.replace("\u00ad\n", "")
+    pdf = "\n".join(pages_of((folder / "report.pdf").read_bytes()))
     page = Cells()
     page.feed((folder / "report.html").read_text(encoding="utf-8"))
     numbers = [set(NUMBER.findall(text)) for text in (pdf, page.text)]
@@ -122,20 +118,14 @@ def test_pdf_and_page_say_the_same(written: Callable[..., Path]) -> None:
 HALF = 0.5  # of a page
 
 
-@pytest.mark.skipif(shutil.which("pdftoppm") is None, reason="pdftoppm is not installed")
 @pytest.mark.parametrize("found", [(), (OR_HYSTERESIS, COUPLED)])
-def test_no_page_but_the_last_is_under_half_full(
-    written: Callable[..., Path], tmp_path: Path, found: tuple[object, ...]
-) -> None:
+def test_no_page_but_the_last_is_under_half_full(written: Callable[..., Path], found: tuple[object, ...]) -> None:
     """Fails if a figure that has no room leaves a page more than half empty."""
-    report = written(*found) / "report.pdf"
-    command = ["pdftoppm", "-r", "20", "-gray", "-png", str(report), str(tmp_path / "page")]
-    subprocess.run(command, check=True)
-    *pages, _ = sorted(tmp_path.glob("page*.png"))
-    for page in pages:
-        dots = np.asarray(Image.open(page)) < 200
+    *pages, _ = pictures_of((written(*found) / "report.pdf").read_bytes(), 20)
+    for number, page in enumerate(pages, start=1):
+        dots = page < 200
         dots = dots[int(0.065 * len(dots)) : int(0.935 * len(dots))]  # without what stands on every page
-        assert (np.flatnonzero(dots.any(axis=1)).max() + 1) / len(dots) > HALF, page.name
+        assert (np.flatnonzero(dots.any(axis=1)).max() + 1) / len(dots) > HALF, number
 
 
 def test_who_measured_what_when_stands_on_every_page(small: Context, tmp_path: Path) -> None:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-import shutil
-import subprocess
 from dataclasses import replace
 from pathlib import Path
 
@@ -30,6 +28,7 @@ from calflow.reporting.style import style
 from calflow.stages.report import EFFORT, STAGE, report_material
 from calflow.stages.stage import Context
 from reporting.case import Case, changed, chosen, context, with_sample, with_select
+from reporting.pdf import pages_of
 
 
 @pytest.fixture(scope="module")
@@ -145,10 +144,8 @@ def test_pages_settle_wherever_the_divider_falls() -> None:
         assert not warnings, (lines, warnings)
 
 
-@pytest.mark.skipif(shutil.which("pdftotext") is None, reason="pdftotext is not installed")
 def test_a_reader_of_the_pdf_finds_the_numbers_and_names(small: Context, files: dict[str, bytes]) -> None:
-    told = subprocess.run(["pdftotext", "-layout", "-", "-"], input=files["report.pdf"], capture_output=True).stdout
-    text = told.decode()
+    text = "\n".join(pages_of(files["report.pdf"]))
     held = small.tables["identify/accuracy.csv"].query("split == 'holdout'")
     assert f"{held['mean_mm'].iloc[-1]:.3f}" in text
     assert r'Arm_1 *bold* #let $x^2$ @ref <label> "quoted" \\ [x] // end' in text

@@ -1,0 +1,19 @@
+"""What is on the pages of a PDF: their texts and their pictures."""
+
+from __future__ import annotations
+
+import numpy as np
+import pypdfium2
+
+
+def pages_of(pdf: bytes) -> list[str]:
+    """The text of each page, with words that are broken at a line's end put together."""
+    document = pypdfium2.PdfDocument(pdf)
+    texts = [page.get_textpage().get_text_bounded() for page in document]
+    return [text.replace("\r\n", "\n").replace("\ufffe\n", "").replace("\ufffe", "") for text in texts]
+
+
+def pictures_of(pdf: bytes, dots_per_inch: float) -> list[np.ndarray]:
+    """Each page in levels of grey, (height, width)."""
+    document = pypdfium2.PdfDocument(pdf)
+    return [page.render(scale=dots_per_inch / 72, grayscale=True).to_numpy().squeeze() for page in document]
