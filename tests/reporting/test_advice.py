@@ -121,11 +121,13 @@ def placement(*markers: str) -> pd.DataFrame:
     return to_frame([Placed(what=what, kind=kind, source="", **place) for what, kind in kinds.items()], Placed)
 
 
-def promised(within: int, chance: float, tested: int = 60, missed: tuple[MissedPose, ...] = ()) -> dict[str, object]:
+def promised(
+    within: int, chance: float, tested: int = 60, missed: tuple[MissedPose, ...] = (), no_gain: float = 0.0
+) -> dict[str, object]:
     """How many held-out errors are below what is promised of them, and how probable so few are."""
     sure = Certainty(points=99, markers=("E",), payloads=(), split="holdout", unit="mm", left=0.06, noise="", noise_floor=0.05,
                      model_sd_mm=0.02, prediction_sd_mm=0.03, rivals=False, tested=tested, within=within,
-                     within_chance=chance, missed=missed)  # fmt: skip
+                     within_chance=chance, missed=missed, no_gain=no_gain)  # fmt: skip
     return {"identify/certainty.json": to_document(sure)}
 
 
@@ -359,6 +361,13 @@ def test_poses_that_are_missed_are_in_the_verdict() -> None:
     """Fails if a robot that is off by many times what is promised at a pose is called usable without a word of it."""
     said = "Usable for the poses, tools and loads that were measured, but 2 poses are off by up to 8.00 mm."
     assert judgement(results({**QUIET, **promised(57, 0.65, missed=MISSED)})) == said
+
+
+def test_a_tool_that_may_be_as_far_off_as_before_is_not_called_calibrated() -> None:
+    """Fails if a fit to the noise is the verdict, though lengths leave the tool's place open at many poses."""
+    said = f"{usability.USABLE}; at 51 % of these poses no gain over the maker's figures is certain."
+    assert judgement(results({**QUIET, **promised(57, 0.65, no_gain=0.51)})) == said
+    assert judgement(results({**QUIET, **promised(57, 0.65, no_gain=0.1)})).startswith("Calibrated")
 
 
 def test_every_rule_is_tested() -> None:

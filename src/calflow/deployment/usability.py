@@ -24,6 +24,7 @@ ENOUGH = 1.1  # lack of fit, in units of the noise, up to which a model counts a
 BY_CHANCE = 0.05  # p-value above which a loss may be by chance
 AS_GOOD = 1.05  # ratio to the least mean error up to which more effort is not worthwhile
 NOTED = 0.01  # share of poses without a certain gain above which it is reported
+PARTLY = 0.2  # share of poses without a certain gain from which the verdict says so
 NOTICED = 0.1  # share of the mean error due to noise below which a loss is negligible
 USABLE = "Usable for the poses, tools and loads that were measured"
 EVEN = 0.5  # probability that the calibrated tool is nearer, below which the nominal robot is the better one
@@ -101,6 +102,8 @@ def judgement(outcome: RunOutcome) -> str:
     if math.isnan(times):
         return f"{USABLE}; the instrument's noise is not known."
     if times <= ENOUGH and not summary.lacks_fit:
+        if (share := outcome.certainty.no_gain) >= PARTLY:
+            return f"{USABLE}; at {percent(share)} of these poses no gain over the maker's figures is certain."
         if summary.new_poses_mm is not None and summary.times_noise > 1:
             return f"Calibrated with few poses: at new ones expect an RMS error of {summary.at_new_poses}."
         return "Calibrated: only the instrument's noise is left."

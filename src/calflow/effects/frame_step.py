@@ -31,7 +31,9 @@ class FrameStep(Effect):
 
     id = "frame-step"
     title = "step of the measuring device"
-    words = Words("step of the measuring device", "the device or the robot's foot was moved once, or joint 1's zero", "step")
+    words = Words(
+        "step of the measuring device", "the device or the robot's foot was moved once, or joint 1's zero", "step"
+    )
     whole = "device"
     family = OF_THE_FRAME
     needs = ("order",)
