@@ -180,7 +180,7 @@ def leftover(times: float, discrepancy: float, structure: str, significant: bool
     structure: input on which an unexplained error depends, if any; significant: whether the lack of fit is.
     """
     if structure and not times > ENOUGH:
-        return f"a part of it depends on {structure}, so it is more than noise. No known cause explains it."
+        return f"a part of it depends on {structure}, so it is more than noise. No cause explains it for certain."
     if math.isnan(times):
         return "whether it is more than noise is not known: the noise was estimated from the fit itself."
     if times <= ENOUGH and not significant:
