@@ -99,12 +99,12 @@ def test_one_that_imitates_two_gives_way_to_them():
 
 
 def test_nothing_hidden_raises_no_more_alarms_than_are_allowed():
-    """Fails if the number of tests, the variants or the fitted parameters are not paid for: 400 draws, a bound of 1 in 1000."""
+    """Fails if the number of tests, the variants or the fitted parameters are not paid for: 250 draws, a bound of 1 in 1000."""
     rng, alarms, allowed, few = np.random.default_rng(5), 0, 0.05, (*EVERY[:8:2], *EVERY[-6::2])
-    for _ in range(400):
+    for _ in range(250):
         residual = rng.standard_normal(N)
         alarms += bool(diagnose_linear(residual, COURSE, few, rng=rng, noise=1.0, false_alarm=allowed).findings)
-    assert alarms <= binom.isf(1e-3, 400, allowed)
+    assert alarms <= binom.isf(1e-3, 250, allowed)
 
 
 def test_variants_are_paid_for():

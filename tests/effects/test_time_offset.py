@@ -43,7 +43,7 @@ def moving(seed: int, late: float, rate: float = 0.0) -> Photographs:
     return made
 
 
-@pytest.mark.parametrize(("late", "rate"), [(5e-3, 0.0), (-20e-3, 0.0), (30e-3, 2.0), (-30e-3, 2.0)])
+@pytest.mark.parametrize(("late", "rate"), [(5e-3, 0.0), (-30e-3, 2.0)])
 def test_an_image_that_was_taken_later_is_found(late, rate, tmp_path):
     """Fails if the offset is missed, taken for another cause, of another size or sign, or leaves out the acceleration."""
     study(tmp_path, moving(3, late, rate), "ur5e", True, ONLY)
