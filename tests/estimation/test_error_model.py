@@ -154,11 +154,15 @@ def test_an_arm_that_grows_goes_on_where_it_reaches_out():
     assert promised(errors, result, out, 86400.0).mean() > 2 * promised(errors, result, near, 86400.0).mean()
 
 
-def test_an_arm_that_warms_up_again_and_again_is_once_more_what_it_was():
-    """Fails if an arm that grew as much in each of three shifts is promised to go on growing, and to be farther off than ever."""
+@pytest.mark.parametrize("hours", [6, 24, 168])
+def test_an_arm_that_warms_up_again_and_again_is_once_more_what_it_was(hours):
+    """Fails if an arm that grew as much in each of three shifts is promised to go on growing, and to be farther off than ever.
+
+    Nor is it promised to stay nearer for longer pauses between them, in which it only rests.
+    """
     data = wavering(4, 0.0)
     seconds = np.arange(POSES) % 30 * 120.0
-    data.table["time"] = seconds + np.arange(POSES) // 30 * 6 * 3600.0
+    data.table["time"] = seconds + np.arange(POSES) // 30 * hours * 3600.0
     cold, grown = data.position.copy(), 3e-4 * data.position
     data.table[["x", "y", "z"]] += (1 - np.exp(-seconds / 1800.0))[:, None] * grown
     _, result, errors = fitted(data)

@@ -26,7 +26,6 @@ from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import representative
 from calflow.estimation.probing import Probe
 from calflow.estimation.smooth_functions import (
-    WALK,
     AtAnyTime,
     BeyondTravel,
     InPlace,
@@ -570,8 +569,10 @@ def _beyond_time(errors: ErrorModel, sizes: SmoothVariances) -> ErrorModel:
             functions = [*in_time(data, of)]
             share = np.full(len(functions), walk * (np.sqrt(2) if causes else 1.0))
         else:
-            functions = [kind(data.robot, of, begin=steps[0].begin, end=steps[-1].end) for kind in (Later, AtAnyTime)]
-            share = np.array([WALK * walk, left[of]])
+            begin, end = steps[0].begin, steps[-1].end
+            later = Later(data.robot, of, begin=begin, end=end)
+            functions = [later, AtAnyTime(data.robot, of, begin=begin, end=end)]
+            share = np.array([later.change(end - begin) * walk, left[of]])
         sd = usual_sizes(result.model, functions)
         sd = sd * np.repeat(share, len(sd) // len(share))
         # Functions of zero variance would only cost time at every predicted row.

@@ -45,7 +45,6 @@ BEYOND_WAVES = 8  # frequencies of a curve beyond its travel, each with cosine a
 # Steps of a random walk during the measurement, of equal numbers of rows, besides pauses; a robot warms up steadily.
 STEPS, STEPS_OF_ROBOT = 16, 4
 STATIONARY = 10  # time constants before the measurement, at which a stationary walk begins
-WALK = 6**0.5  # standard deviation of a walk's total change, over its root mean square about its mean
 
 
 class SmoothFunction(Effect):
@@ -303,6 +302,13 @@ class Wandering(SmoothFunction):
         """Return the time in which a random walk has the variance that this has after a time [s] (Uhlenbeck and Ornstein 1930)."""
         constant = self.time_constant
         return constant / 2 * (1 - ca.exp(-2 * passed / constant)) if np.isfinite(constant) else passed
+
+    def change(self, duration: float) -> float:
+        """Return the standard deviation of a random walk's change in a time [s], over the root mean square of this about its mean.
+
+        For unit variance gained per second, its mean square is a sixth of the time, and half the time constant at most.
+        """
+        return float((6 + 2 * duration / self.time_constant) ** 0.5)
 
     @property
     def gives_way(self) -> bool:
@@ -586,7 +592,7 @@ def in_time(data: Measurements, of: str = Wandering.of) -> list[InTime]:
         nodes = np.append(at.min() - STATIONARY * constant, nodes)
     steps = [InTime(data.robot, of, clock, begin, end) for begin, end in pairwise(nodes.tolist())]
     return [
-        replace(step, share=WALK * (float(step.diffusion(ca.DM(step.end - step.begin))) / np.ptp(at)) ** 0.5,
+        replace(step, share=step.change(np.ptp(at)) * (float(step.diffusion(ca.DM(step.end - step.begin))) / np.ptp(at)) ** 0.5,
                 mean=float(np.mean(step.share_at(ca.DM(at)).full())))
         for step in steps
     ]  # fmt: skip
