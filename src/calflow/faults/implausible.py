@@ -31,9 +31,9 @@ def nominal_misfit(setup: Setup) -> str:
         return ""
     return (
         f"the nominal robot, with base and tool fitted, misses half of all positions by {1e3 * far:,.0f} mm or more, which no "
-        f"calibration can correct (at most {rounded(1e3 * limit)} mm): check the units of readings and positions, the order and "
-        "signs of the joints, their zeros (theta), the convention (dh or modified-dh), the order of the rows, and that x, y, z "
-        "are a right-handed frame"
+        f"calibration can correct (at most {rounded(1e3 * limit)} mm): check the units of readings and positions, the links' "
+        "lengths, the order and signs of the joints, their zeros (theta), the convention (dh or modified-dh), the "
+        "order of the rows, and that x, y, z are a right-handed frame"
     )
 
 
