@@ -26,7 +26,7 @@ from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.verdict import label
 from calflow.effects.base import UNEXPLAINED
 from calflow.estimation.accuracy import distances, errors
-from calflow.estimation.calibrated_model import Alternative, CalibratedModel
+from calflow.estimation.calibrated_model import Alternative, CalibratedModel, offsets
 from calflow.estimation.probing import probed
 from calflow.estimation.progress import Draws
 from calflow.faults import as_table
@@ -98,10 +98,13 @@ def uncertainties(
         uncertainties.append(Uncertainty(lack.form.name, seen @ turn, tool @ turn))
         start += len(columns)
     if planned.observation.units == (METRE,) * 3:
-        for k, alternative in enumerate(alternatives, start=1):
-            size, both = np.sqrt(alternative.probability), (choices.conditions, site.conditions)
-            seen, tool = (alternative.apart(whole, fitted.fit.estimate, rows)[:, :, None] for rows in both)
-            uncertainties.append(Uncertainty(f"rival {k}", size / planned.sigma * seen, size * tool))
+        both = (choices.conditions, site.conditions)
+        seen, tool = (offsets(alternatives, whole, fitted.fit.estimate, rows) for rows in both)
+        for k, alternative in enumerate(alternatives):
+            size, own = np.sqrt(alternative.probability), slice(k, k + 1)
+            uncertainties.append(
+                Uncertainty(f"rival {k + 1}", size / planned.sigma * seen[:, :, own], size * tool[:, :, own])
+            )
     return uncertainties
 
 

@@ -31,7 +31,7 @@ from calflow.diagnosis.screening import Catalogue, Screening
 from calflow.diagnosis.verdict import label
 from calflow.effects import Effect
 from calflow.effects.base import Cause
-from calflow.estimation.calibrated_model import Alternative
+from calflow.estimation.calibrated_model import Alternative, offsets
 from calflow.estimation.noise import PerUnit
 from calflow.estimation.probing import probed
 from calflow.estimation.smooth_functions import Wandering, smooth_functions
@@ -325,8 +325,9 @@ def task_error(
     for others in rivals:
         of_choice = [alternative.probability for alternative in others]
         chosen = rng.choice(len(others) + 1, TASK_DRAWS, p=[*of_choice, 1 - sum(of_choice)])
-        for k, other in enumerate(others):
-            lacking[chosen == k] += other.apart(fitted.model, fitted.fit.estimate, site.conditions)
+        moved = offsets(others, fitted.model, fitted.fit.estimate, site.conditions)
+        for k in range(len(others)):
+            lacking[chosen == k] += moved[:, :, k]
     forms = list({id(candidate.form): candidate.form for candidate, _ in drawn}.values())
     slopes = dict(zip(map(id, forms), site.left(missing, forms), strict=True))
     for candidate, draws in drawn:

@@ -6,6 +6,7 @@ the few others can be evaluated in full; Madigan and Raftery 1994). Predictive v
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -40,10 +41,16 @@ class Alternative:
     gone: Cause | None = None
     rival: Cause | None = None
 
-    def apart(self, model: Model, estimate: np.ndarray, conditions: np.ndarray) -> np.ndarray:
-        """Return the offset of its points from those of the model in whose place it is, (n_rows, 3) [m]."""
-        there = replace(self.model, given=model.given).point(self.estimate, conditions)
-        return there - model.point(estimate, conditions)
+
+def offsets(
+    alternatives: Sequence[Alternative], model: Model, estimate: np.ndarray, conditions: np.ndarray
+) -> np.ndarray:
+    """Return the offsets of alternatives' points from those of the model that they replace, (n_rows, 3, n_alternatives) [m]."""
+    moved = np.zeros((conditions.shape[1], 3, len(alternatives)))
+    here = model.point(estimate, conditions) if alternatives else 0.0
+    for k, other in enumerate(alternatives):
+        moved[:, :, k] = replace(other.model, given=model.given).point(other.estimate, conditions) - here
+    return moved
 
 
 def choice_errors(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
@@ -52,11 +59,9 @@ def choice_errors(calibrated: CalibratedModel, conditions: np.ndarray) -> np.nda
     Shape (n_rows, 3, n_alternatives) [m], the factors of independent standard normals: the squares add up to the mean square
     distance of the alternatives' predictions from this model's, weighted by their probabilities.
     """
-    apart = np.zeros((conditions.shape[1], 3, len(calibrated.alternatives)))
-    for k, other in enumerate(calibrated.alternatives):
-        moved = other.apart(calibrated.model, calibrated.estimate, conditions)
-        apart[:, :, k] = np.sqrt(other.probability) * moved
-    return apart
+    alternatives = calibrated.alternatives
+    moved = offsets(alternatives, calibrated.model, calibrated.estimate, conditions)
+    return moved * np.sqrt([other.probability for other in alternatives])
 
 
 @dataclass(frozen=True)

@@ -147,10 +147,11 @@ def _cost(logs: np.ndarray, apart: np.ndarray, y: np.ndarray, own: np.ndarray) -
     smooth = size * np.exp(-0.5 * apart @ inverse)
     covariance = smooth + (rest + JITTER * size) * np.eye(len(y))
     factor = scipy.linalg.cho_factor(covariance, lower=True)
-    along = scipy.linalg.cho_solve(factor, own.reshape(len(y), -1)).reshape(own.shape)
+    white = scipy.linalg.solve_triangular(factor[0], own.reshape(len(y), -1), lower=True)
+    along = scipy.linalg.solve_triangular(factor[0], white, lower=True, trans="T").reshape(own.shape)
     # By QR: rounding in the Gram matrix of wide, nearly dependent priors (base and tool) would swallow the identity.
-    white = scipy.linalg.solve_triangular(factor[0], own.reshape(len(y), -1), lower=True).reshape(-1, own.shape[2])
-    root = np.asarray(np.linalg.qr(np.vstack([np.eye(own.shape[2]), white]), mode="r")).T
+    stacked = np.vstack([np.eye(own.shape[2]), white.reshape(-1, own.shape[2])])
+    root = np.asarray(np.linalg.qr(stacked, mode="r")).T
     absorbed = scipy.linalg.solve_triangular(root, along.reshape(-1, len(root)).T, lower=True).T.reshape(own.shape)
     weights = scipy.linalg.cho_solve(factor, y) - absorbed @ np.einsum("nak,na->k", absorbed, y)
     spread = y.shape[1] * scipy.linalg.cho_solve(factor, np.eye(len(y))) - weights @ weights.T
