@@ -364,10 +364,13 @@ def test_poses_that_are_missed_are_in_the_verdict() -> None:
 
 
 def test_a_tool_that_may_be_as_far_off_as_before_is_not_called_calibrated() -> None:
-    """Fails if a fit to the noise is the verdict, though lengths leave the tool's place open at many poses."""
+    """Fails if a fit to the noise is the verdict, though lengths leave the tool's place open, or images are judged so."""
     said = f"{usability.USABLE}; at 51 % of these poses no gain over the maker's figures is certain."
-    assert judgement(results({**QUIET, **promised(57, 0.65, no_gain=0.51)})) == said
-    assert judgement(results({**QUIET, **promised(57, 0.65, no_gain=0.1)})).startswith("Calibrated")
+    of_lengths, of_images = summary(new_poses_mm=0.05), summary(new_poses_mm=None)
+    assert judgement(results({**QUIET, **of_lengths, **promised(57, 0.65, no_gain=0.51)})) == said
+    assert judgement(results({**QUIET, **of_lengths, **promised(57, 0.65, no_gain=0.1)})).startswith("Calibrated")
+    # Base and tool are still to be taught.
+    assert judgement(results({**QUIET, **of_images, **promised(57, 0.65, no_gain=1.0)})).startswith("Calibrated")
 
 
 def test_every_rule_is_tested() -> None:

@@ -102,6 +102,11 @@ class RunOutcome:
     certainty = _summary("How sure the best model is.", "certainty.json", Certainty)
     chain_summary = _summary("How the sampling ended.", "sample/summary.json", ChainSummary)
 
+    @property
+    def no_gain(self) -> float:
+        """Share of the measured rows without a certain gain; 0 where no lengths were measured, as base and tool are then taught."""
+        return 0.0 if self.fit_summary.new_poses_mm is None else self.certainty.no_gain
+
     def path_of(self, name: str) -> str:
         """Return a path unchanged, and for a name the best model's path: in diagnose where it extended the model."""
         if "/" in name:

@@ -102,8 +102,10 @@ def judgement(outcome: RunOutcome) -> str:
     if math.isnan(times):
         return f"{USABLE}; the instrument's noise is not known."
     if times <= ENOUGH and not summary.lacks_fit:
-        if (share := outcome.certainty.no_gain) >= PARTLY:
-            return f"{USABLE}; at {percent(share)} of these poses no gain over the maker's figures is certain."
+        if outcome.no_gain >= PARTLY:
+            return (
+                f"{USABLE}; at {percent(outcome.no_gain)} of these poses no gain over the maker's figures is certain."
+            )
         if summary.new_poses_mm is not None and summary.times_noise > 1:
             return f"Calibrated with few poses: at new ones expect an RMS error of {summary.at_new_poses}."
         return "Calibrated: only the instrument's noise is left."

@@ -148,8 +148,7 @@ def how_sure(material: Material) -> list[tuple[str, str]]:
     many = material.judged_steps[-1].n > len(material.largest)
     each = " Means are over all points; the figure shows the worst of each pose." if many else ""
     sentences = [("Errors:", f"measured {of_poses}.{each}"), ("Instrument:", f"{alone}.")]
-    measured = material.fit_summary.new_poses_mm is not None
-    no_gain = f" {no_gain_words(certainty.no_gain, 'that were measured')}" if measured else ""
+    no_gain = f" {no_gain_words(material.no_gain, 'that were measured')}"
     where = [("Where:", where_words(certainty) + no_gain.rstrip())] if certainty.reach_m else []
     return [*where, *sentences, ("Tested:", tested_words(certainty))]
 
