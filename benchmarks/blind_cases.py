@@ -15,7 +15,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 import numpy as np
 from scipy.stats import chi2, norm
 
-from calflow.diagnosis.candidates import noncentrality
+from calflow.diagnosis.candidates import f_threshold, noncentrality
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import Catalogue, Score, Screening
 from calflow.diagnosis.stepwise import SHARES, Detection, Linearisation, Screened
@@ -252,7 +252,8 @@ def _limit(bare: Bare, h: Hidden, shift: np.ndarray, others: Sequence[np.ndarray
     if not own:
         return np.inf
     best = max(own, key=lambda score: score.drop)
-    needed = noncentrality(SHARES["causes"] * FALSE_ALARM, bare.screened.family.tests(best), best.shown, best.left)
+    alarm, tests = SHARES["causes"] * FALSE_ALARM, bare.screened.family.tests(best)
+    needed = noncentrality(f_threshold(alarm, tests, best.shown, best.left), best.shown, best.left)
     return float(np.sqrt(needed / seen.chi2))
 
 

@@ -797,7 +797,7 @@ def _diagnosed_tables(
         "diagnose/findings.csv": to_frame(
             diagnosed_findings(diagnosis, before, data, faults, rng("resamples")), Finding
         ),
-        "diagnose/candidates.csv": candidates_table(diagnosis, data.only(data.train)),
+        "diagnose/candidates.csv": candidates_table(diagnosis, data.only(data.train), rng("limits")),
         "diagnose/accuracy.csv": accuracy_table(diagnosis, data, list(before.accuracy)),
         "diagnose/next_poses.csv": poses_table(asked, diagnosis.extended.fitted),
         "diagnose/separations.csv": separations_table(asked),

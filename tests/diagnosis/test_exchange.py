@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calflow.diagnosis.candidates import detection_limits, noncentrality
 from calflow.diagnosis.regressors import Candidate, Held, Regressors
 from calflow.diagnosis.screening import Family, Screening
 from calflow.diagnosis.stepwise import Exchange
@@ -94,22 +93,6 @@ def test_two_causes_of_one_place_stand_as_any_pair_does(regressors):
     candidates = (*regressors.candidates[2:6], *there)
     alone = with_residual(regressors, regressors.residual + both, candidates=candidates)
     assert not list(Exchange.of(Screening(alone), FAMILY, twice).better())
-
-
-def test_a_cause_at_its_detection_limit_is_found_95_times_in_100(regressors):
-    """Breaks if the limit forgets the number of tests, the degrees of freedom or the prior's units."""
-    rng = np.random.default_rng(3)
-    score = next(s for s in Screening(regressors).scores if s.cause == causes()[6])
-    (limit,), found, draws = detection_limits([score], FAMILY, 0.01), 0, 400
-    for _ in range(draws):
-        phase = rng.uniform(0, 2 * np.pi)
-        effect = regressors.matrix.values[:, 6:8] @ (limit * np.array([np.cos(phase), np.sin(phase)]))
-        noise = rng.standard_normal(ROWS)
-        again = Screening(replaced(regressors, effect + noise))
-        found += FAMILY.p(next(s for s in again.scores if s.cause == causes()[6])) < 0.01
-    assert 0.91 < found / draws < 0.985
-    assert np.isnan(noncentrality(0.01, 1e4, 1, 1.0))  # too few rows to show anything
-    assert noncentrality(0.01, 1.0, 1, 1e6) == pytest.approx((2.5758 + 1.6449) ** 2, rel=1e-3)
 
 
 def replaced(regressors, residual):

@@ -261,6 +261,9 @@ def _candidates(told: list[Found]) -> pd.DataFrame:
                      limit=1.234e-4 * k)
         for k in (1, 2, 3)
     ]  # fmt: skip
+    rows.append(
+        CandidateRow(cause="link-bending", joint=3, p_family=0.4, delta_bic=9.0, part="link3", unit="1/Nm2", limit=4e-7)
+    )
     rows += [CandidateRow(cause="link-bending", joint=k, part=f"link{k}", note="why", imitated=True) for k in (1, 2)]
     warmth = "a column temperature_degC (that changes), or time_s"
     rows += [CandidateRow(cause="thermal-growth", note="why", lacking=warmth, asked=("warmth",)),

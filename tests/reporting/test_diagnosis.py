@@ -275,6 +275,8 @@ def test_how_small_a_cause_the_data_show_is_told_by_joint(small: Context) -> Non
     below = section.partition("Detection limits")[2]
     row = next(line for line in below.splitlines() if "Gear ratio error" in line)
     assert all(f'[#"{cell}";]' in row for cell in ("µrad/rad", "120", "250", "370"))
+    bending = next(line for line in below.splitlines() if '"Bending"' in line)
+    assert all(f'[#"{cell}";]' in bending for cell in ("MNm²", "2.5"))  # as findings state it: a stiffness
 
 
 @pytest.mark.parametrize("case", [Case(holdout=0.0), Case(stated=False)], ids=["none held out", "noise unknown"])

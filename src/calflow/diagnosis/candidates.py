@@ -5,15 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import casadi as ca
 import numpy as np
 import scipy
 
 from calflow.diagnosis.diagnosis import Diagnosis
 from calflow.diagnosis.noise_growth import RANGE, Growth
-from calflow.diagnosis.screening import Family, Score, by_place
+from calflow.diagnosis.screening import Score, by_place
+from calflow.diagnosis.stepwise import Screened
 from calflow.diagnosis.verdict import SIZE, amplitude
 from calflow.effects import Effect, catalogue
-from calflow.effects.base import Cause
+from calflow.effects.base import NOTHING, Cause
 from calflow.estimation.curve import Curve
 from calflow.estimation.parameters import UNIT
 from calflow.files.deferred import pd
@@ -23,6 +25,8 @@ from calflow.measurements.measurements import Measurements
 NAN = float("nan")
 POWER = 0.95
 LEAST_SHOWN, MOST_SHOWN = 1e-3, 1e5  # bracket of the noncentrality
+DRAWN = 256  # causes drawn from the prior for a limit
+CLOSE = 1e-3  # relative precision of a limit
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +46,9 @@ class CandidateRow:
     sd: float = column("standard deviation of the size", UNIT, default=NAN)
     unit: str = column("of the size (SI)", default="")
     limit: float = column(
-        "the least size that is detected 95 times in 100; empty where no size would be", UNIT, default=NAN
+        "the size that is detected 95 times in 100, to be compared with `estimate`; empty where no size would be",
+        UNIT,
+        default=NAN,
     )
     tests: float = column("equivalent number of tests by which its p-value is corrected", default=NAN)
     part: str = column("the part of the robot", default="")
@@ -53,7 +59,7 @@ class CandidateRow:
     imitated: bool = column("not testable: the model's parameters imitate it", default=False)
 
 
-def candidates_table(diagnosis: Diagnosis, data: Measurements) -> pd.DataFrame:
+def candidates_table(diagnosis: Diagnosis, data: Measurements, rng: np.random.Generator) -> pd.DataFrame:
     """Return diagnose/candidates.csv: every place in its best variant, by the first screening, and effects not tested."""
     first = diagnosis.extended.first
     places = by_place(first.scores)
@@ -62,7 +68,7 @@ def candidates_table(diagnosis: Diagnosis, data: Measurements) -> pd.DataFrame:
     nothing = len(places) * np.exp(least / 2)  # a priori as probable as all places together
     total = sum(weights.values()) + nothing
     ordered = sorted(places.items(), key=lambda item: item[1][0])
-    limits = detection_limits([score for _, (_, score) in ordered], first.family, diagnosis.false_alarm)
+    limits = detection_limits([score for _, (_, score) in ordered], first, diagnosis.false_alarm, rng)
     rows = []
     for (place, (cost, score)), limit in zip(ordered, limits.tolist(), strict=True):
         rows.append(
@@ -111,35 +117,80 @@ def _score(score: Score) -> CandidateRow:
     )  # fmt: skip
 
 
-def noncentrality(
+def f_threshold(
     false_alarm: float, tests: float | np.ndarray, degrees_of_freedom: int | np.ndarray, left: float | np.ndarray
 ) -> np.ndarray:
-    """Return the noncentrality (…) at which F tests pass 95 times in 100; nan where too few degrees of freedom are left.
+    """Return the ratios (…) beyond which F tests are significant at the family's false_alarm.
 
-    tests (…) are the equivalent numbers of tests at the family's false_alarm, degrees_of_freedom and left (…) those of each test.
+    tests (…) are the equivalent numbers of tests, degrees_of_freedom and left (…) those of each test.
     """
+    return np.asarray(scipy.stats.f.isf(-np.expm1(np.log1p(-false_alarm) / tests), degrees_of_freedom, left))
+
+
+def noncentrality(
+    threshold: float | np.ndarray, degrees_of_freedom: int | np.ndarray, left: float | np.ndarray
+) -> np.ndarray:
+    """Return the noncentrality (…) at which F tests pass 95 times in 100; nan where too few degrees of freedom are left."""
     from scipy.optimize.elementwise import find_root
 
-    single = -np.expm1(np.log1p(-false_alarm) / tests)
-    threshold = scipy.stats.f.isf(single, degrees_of_freedom, left)
     roots = find_root(_missing_power, (LEAST_SHOWN, MOST_SHOWN), args=(threshold, degrees_of_freedom, left))
     return np.asarray(roots.x)
 
 
-def _missing_power(shown: np.ndarray, threshold: np.ndarray, spent: np.ndarray, left: np.ndarray) -> np.ndarray:
+def _missing_power(
+    shown: np.ndarray, threshold: float | np.ndarray, spent: float | np.ndarray, left: float | np.ndarray
+) -> np.ndarray:
     return np.asarray(POWER - scipy.stats.ncf.sf(threshold, spent, left, shown))
 
 
-def detection_limits(scores: Sequence[Score[Cause]], family: Family, false_alarm: float) -> np.ndarray:
-    """Return the least size of each cause that is detected 95 times in 100, in the unit of its first parameter, (n_scores,).
+def detection_limits(
+    scores: Sequence[Score[Cause]], screened: Screened[Cause], false_alarm: float, rng: np.random.Generator
+) -> np.ndarray:
+    """Return the size of each cause at which it is detected 95 times in 100, in the unit of its first parameter, (n_scores,).
 
-    Several parameters are taken in proportion to their priors, with the information averaged over directions.
+    Size is what findings state (`Effect.size`, of a curve the root mean square over its travel). One size of several parameters
+    can show well or hardly, as a wave does by its phase: of causes of this size, with parameters in proportions drawn from their
+    priors, 95 in 100 are significant and explain a material share of chi². nan where no size would be detected.
     """
-    shown = []
-    for score in scores:
-        declared = score.cause.declared
-        sd = np.array([parameter.prior_sd for parameter in declared])
-        same = np.array([parameter.unit == declared[0].unit for parameter in declared])
-        shown.append(np.diag(score.information) @ sd**2 / (sd[same] @ sd[same]))
+    family, total = screened.family, screened.degrees_of_freedom
     tests, spent, left = np.array([(family.tests(score), score.shown, score.left) for score in scores]).reshape(-1, 3).T
-    return np.asarray(np.sqrt(noncentrality(false_alarm, tests, spent, left) / shown))
+    material = family.material / (1 - family.material) * (total - spent) / spent
+    threshold = np.maximum(f_threshold(false_alarm, tests, spent, left), material)
+    shown = [_shown_by_unit_size(score, rng) for score in scores]
+    return np.array(list(map(_limit, shown, noncentrality(threshold, spent, left), threshold, spent, left)))
+
+
+def _limit(shown: np.ndarray, needed: float, threshold: float, spent: float, left: float) -> float:
+    """Return the size at which causes pass 95 times in 100 on average; shown (n,): the noncentrality of each at size 1."""
+    if np.isnan(needed):
+        return NAN
+    low, high = (float(np.log(needed / end) / 2) for end in (shown.max(), shown.min()))
+    if high - low < CLOSE:
+        return float(np.exp(low))
+
+    def missing(log_size: float) -> float:
+        reached = np.minimum(np.exp(2 * log_size) * shown, MOST_SHOWN)
+        return float(_missing_power(reached, threshold, spent, left).mean())
+
+    return float(np.exp(scipy.optimize.brentq(missing, low, high, xtol=CLOSE)))
+
+
+def _shown_by_unit_size(score: Score[Cause], rng: np.random.Generator) -> np.ndarray:
+    """Return the noncentrality of causes of size 1 in the directions that the data show, their parameters drawn in proportion."""
+    cause = score.cause
+    sd = np.array([parameter.prior_sd for parameter in cause.declared])
+    lower, upper = cause.bounds
+    drawn = rng.standard_normal((DRAWN if len(sd) > 1 else 1, len(sd)))
+    drawn = np.where(lower == 0, np.abs(drawn), np.where(upper == 0, -np.abs(drawn), drawn))
+    values, vectors = np.linalg.eigh(score.information * np.outer(sd, sd))
+    shown = (drawn @ vectors[:, -score.shown :]) ** 2 @ values[-score.shown :]
+    return np.asarray(np.clip(shown / np.maximum(_sizes(cause, drawn * sd) ** 2, NOTHING), NOTHING, None))
+
+
+def _sizes(cause: Cause, values: np.ndarray) -> np.ndarray:
+    """Return the size of a cause for values of its parameters (n, n_parameters), as findings state it, (n,)."""
+    travel = cause.effect.travel(cause.joint) if cause.joint else None
+    if travel:
+        return np.asarray(np.sqrt(np.einsum("ni,ij,nj->n", values, travel.products, values)))
+    p = ca.SX.sym("p", values.shape[1])
+    return np.abs(np.array(ca.Function("size", [p], [cause.effect.size(p)])(values.T))).ravel()

@@ -744,10 +744,16 @@ def readable_size(cause: str, unit: str) -> tuple[float, str]:
     return (kind.readable.get(unit) if kind else None) or UNITS.get(unit) or (1.0, unit)
 
 
+def as_stiffness(flexibility: float, unit: str) -> tuple[float, str]:
+    """Return a flexibility as the stiffness that reports state, with its unit; any other size unchanged."""
+    return (1 / flexibility, "Nm2") if unit == FLEXIBILITY and flexibility > 0 else (flexibility, unit)
+
+
 def amount(cause: str, estimate: float, sd: float, unit: str) -> str:
     """Return an estimate with its standard deviation in display units; a flexibility is shown as a stiffness."""
     if unit == FLEXIBILITY and estimate > 0:
-        estimate, sd, unit = 1 / estimate, sd / estimate**2, "Nm2"
+        sd /= estimate**2
+    estimate, unit = as_stiffness(estimate, unit)
     factor, unit_shown = readable_size(cause, unit)
     if unit_shown == "µrad" and abs(estimate) >= LARGE_ANGLE:
         factor, unit_shown = 1e3, "mrad"

@@ -15,7 +15,15 @@ from calflow.diagnosis import FALSE_ALARM
 from calflow.diagnosis.candidates import CandidateRow
 from calflow.diagnosis.findings import Finding
 from calflow.diagnosis.stepwise import SHARES
-from calflow.effects.base import UNEXPLAINED, cause_family, cause_name, cause_words, place_name, readable_size
+from calflow.effects.base import (
+    UNEXPLAINED,
+    as_stiffness,
+    cause_family,
+    cause_name,
+    cause_words,
+    place_name,
+    readable_size,
+)
 from calflow.files.deferred import pd
 from calflow.files.units import METRE, MeasurementUnit
 from calflow.files.words import chance, chance_figure, effect_words, first_up, listed, mm, number, rounded, sureness
@@ -35,7 +43,7 @@ EVIDENCE = (
 )
 LIMITS = (
     "The size at which a cause would be found in 95 of 100 cases, at each joint or link, given the scatter that the study's model "
-    "leaves."
+    "leaves; of a link, how soft it would have to be (EI)."
 )
 IMITATED = "the model's own parameters imitate"
 STATUS = {"named": "named", "one_of": "one of several", "unexplained": "not explained"}
@@ -93,8 +101,9 @@ def limits(rows: Sequence[CandidateRow]) -> list[Block]:
         least[place] = min(row.limit, least.get(place, np.inf))
     lines = []
     for cause, unit in {row.cause: row.unit for row in reversed(shown)}.items():
-        factor, unit_shown = readable_size(cause, unit)
-        cells = [rounded(factor * least[cause, k], 2) if (cause, k) in least else "–" for k in (*numbers, None)]
+        stated = {k: as_stiffness(least[cause, k], unit) for k in (*numbers, None) if (cause, k) in least}
+        factor, unit_shown = readable_size(cause, next(iter(stated.values()))[1])
+        cells = [rounded(factor * stated[k][0], 2) if k in stated else "–" for k in (*numbers, None)]
         lines.append((first_up(cause_words(cause).name), unit_shown, *cells))
     header = ("cause", "unit", *map(str, numbers), "whole robot")
     return [
