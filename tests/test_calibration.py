@@ -90,6 +90,14 @@ def test_poses_are_chosen_for_a_calibration(points):
             calibration.select(25, candidates=300, **{name: "tol"})
     with pytest.raises(cf.InputError, match=r"stated: expected joint readings of shape \(n, 3\), found \(30, 5\)"):
         calibration.select(25, stated=np.zeros((30, 5)))
+    alike = np.random.default_rng(1).uniform(-0.5, 0.5, (40, 3))
+    assert calibration.select(25, stated=alike.tolist()).poses.equals(calibration.select(25, stated=alike).poses)
+    wrong = {"stated": [[1, 2], [1]], "region": [0, 1], "there": ["here"]}
+    with pytest.raises(cf.InputError) as refusal:
+        calibration.select(25, **wrong)
+    assert {problem.key for problem in refusal.value.problems} == set(wrong)
+    with pytest.raises(cf.InputError, match=r"there: expected packed conditions of shape \(\d+, n\), found \(1, 2\)"):
+        calibration.select(25, candidates=300, there=[[1, 2]])
     for draw in (calibration.select, calibration.sample, calibration.diagnose, calibration.with_residual_field):
         with pytest.raises(cf.InputError, match="seed: expected a number greater than or equal to 0, found -1"):
             draw(seed=-1)

@@ -28,7 +28,17 @@ from calflow.deployment.usability import no_better_in_space, warning
 from calflow.deployment.validation import Sent, Station, Validation
 from calflow.design.cell import Cell
 from calflow.design.discrimination import NextPose, Question, SeparationRow, poses_table, questions, separations_table
-from calflow.design.planned import USUAL_DRIFT, Aim, Order, Planned, SelectionRequest, Task
+from calflow.design.planned import (
+    USUAL_DRIFT,
+    Aim,
+    Conditions,
+    Order,
+    Planned,
+    Readings,
+    Region,
+    SelectionRequest,
+    Task,
+)
 from calflow.design.selection import Selection, select
 from calflow.diagnosis import FALSE_ALARM
 from calflow.diagnosis.candidates import CandidateRow, candidates_table
@@ -513,11 +523,11 @@ class Calibration(CalibratedModel, RunOutcome):
         tolerance: Positive | None = None,
         payload: str = "",
         marker: str = "",
-        region: np.ndarray | None = None,
+        region: Region | None = None,
         cell: Cell | None = None,
         candidates: Count = 2000,
-        stated: np.ndarray | None = None,
-        there: np.ndarray | None = None,
+        stated: Readings | None = None,
+        there: Conditions | None = None,
         refine: bool = False,
         order: Order = "short",
         drift: Positive = USUAL_DRIFT,

@@ -9,9 +9,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
+from pydantic import PlainValidator
 
 from calflow.design.candidates import allowed, candidates, packed_conditions
 from calflow.design.cell import Cell
@@ -159,6 +160,26 @@ class Task:
         return ToolError(slopes, np.full(len(slopes), 1 / len(slopes)))
 
 
+def _table_of(shape: str, height: int | None = None, width: int | None = None) -> PlainValidator:
+    """Return the conversion of lists of numbers to an array (height, width); shape: the same in words; None: any length."""
+
+    def converted(given: object) -> np.ndarray:
+        try:
+            array = np.asarray(given, dtype=float)
+        except (TypeError, ValueError):
+            array = np.zeros(())
+        if array.ndim != 2 or array.shape != (height or len(array), width or array.shape[1]):
+            raise ValueError(f"expected numbers in an array of shape {shape}")
+        return array
+
+    return PlainValidator(converted)
+
+
+Region = Annotated[np.ndarray, _table_of("(2, 3)", 2, 3)]
+Readings = Annotated[np.ndarray, _table_of("(n, n_joints)")]
+Conditions = Annotated[np.ndarray, _table_of("(n_conditions, n)")]
+
+
 @dataclass(frozen=True, kw_only=True)
 class SelectionRequest:
     """The settings of a selection of poses.
@@ -187,12 +208,12 @@ class SelectionRequest:
     task: Task | None = None
     payload: str = ""
     marker: str = ""
-    region: np.ndarray | None = None
+    region: Region | None = None
     cell: Cell | None = None
     planned: Planned = field(default_factory=lambda: Planned(Position.planned(Series()), USUAL_SIGMA))
     candidates: Count = 2000
-    stated: np.ndarray | None = None
-    there: np.ndarray | None = None
+    stated: Readings | None = None
+    there: Conditions | None = None
     tolerance: Positive | None = None
     refine: bool = False
     order: Order = "short"

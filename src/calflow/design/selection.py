@@ -162,6 +162,9 @@ def select(
     advance(0.3)
     whitened, prior = request.whitened(model, conditions), np.eye(len(model.parameters))
     if request.there is not None:
+        if len(request.there) != model.n_conditions:
+            shape = f"({model.n_conditions}, n)"
+            raise refuse(f"expected packed conditions of shape {shape}, found {request.there.shape}", key="there")
         prior = information(request.whitened(model, request.there), prior)
     tool = (request.task or Task.of(readings[:TASK_POSES], [request.payload], request.marker)).criterion(model)
     criterion: Criterion = ParameterCriterion(len(prior)) if request.aim == "parameters" else tool
