@@ -600,6 +600,10 @@ def find_workflow(name: str, study: Path) -> Path:
     path = workflow_folder() / f"{name}.toml"
     if not os.path.isfile(path):
         workflows = sorted(file.stem for file in workflow_folder().glob("*.toml"))
-        message = f"unknown workflow '{name}'; there are {', '.join(workflows)}{nearest(name, workflows)}"
+        message = (
+            f"unknown workflow '{name}'; there are {', '.join(workflows)}{nearest(name, workflows)}"
+            if workflows
+            else f"calflow's own workflows are not in {workflow_folder()}: install calflow again, or state a file that ends in .toml"
+        )
         raise Origin.of(study).refuse(message, "workflow")
     return path

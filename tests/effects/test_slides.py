@@ -7,7 +7,9 @@ import pytest
 
 from calflow.design.candidates import packed_conditions
 from calflow.effects import catalogue
+from calflow.effects.base import Cause
 from calflow.effects.joint_hysteresis import JointHysteresis
+from calflow.effects.periodic_joint_error import PeriodicJointError
 from calflow.model import build
 from calflow.robot.frames import modified_dh
 from calflow.robot.parts import Joint, Marker, Payload
@@ -75,8 +77,16 @@ def test_coupling_is_drawn_against_the_joint_before():
     assert [catalogue()["wrist-coupling"](GANTRY).variable(joint).unit for joint in (5, 6)] == ["deg", "mm"]
 
 
-def test_hysteresis_says_its_travel_in_the_units_of_the_joints():
-    """Fails if the travel over which a slide's friction develops is told in degrees alone."""
+def test_forms_are_told_in_the_units_of_their_joint():
+    """Fails if a joint that turns is called a slide, or the travel over which a slide's friction develops is in degrees."""
+    turns = next(k for k in range(1, 7) if k not in SLIDES)
+    for slides, period, developed in (
+        (True, "order 20, on a slide every 314 mm", "50 mm"),
+        (False, "order 20", "2.86 deg"),
+    ):
+        part = f"joint{SLIDES[0] if slides else turns}"
+        assert Cause(GANTRY, PeriodicJointError(GANTRY, 20.0), part).detail == period
+        assert Cause(GANTRY, JointHysteresis(GANTRY, 0.05), part).detail == f"developed after {developed}"
     assert JointHysteresis(GANTRY, 0.05).detail == "developed after 50 mm or 2.86 deg"
     turning = Robot([GANTRY.joints[2]], markers=GANTRY.markers)
     assert JointHysteresis(turning, np.deg2rad(4.0)).detail == "developed after 4 deg"

@@ -155,6 +155,15 @@ def test_a_mistake_is_told_once_with_its_place(small, file, old, new, expected):
     assert told.startswith(f"{file}:{expected}")
 
 
+def test_a_copy_without_its_workflows_is_told_as_such(small, monkeypatch, tmp_path):
+    """Fails if an incomplete copy of calflow is told as a mistake of the study, with an empty list of workflows."""
+    small.edit("study.toml", ("quick.toml", "calibrate"))
+    monkeypatch.setattr("calflow.study.workflow_folder", lambda: tmp_path / "workflows")
+    (told,) = small.refused("check")
+    assert "3: workflow: calflow's own workflows are not in" in told
+    assert "install calflow again" in told
+
+
 @pytest.mark.parametrize(
     ("robot", "told"),
     [("robt.toml", "robt.toml: no such file"), (".", "cannot be read"), ("measurements.csv", "not TOML")],

@@ -9,7 +9,7 @@ import pytest
 from calflow.deployment.run_outcome import RunOutcome
 from calflow.files.tables import Results
 from calflow.reporting.terminal import last_lines
-from reporting.case import BACKLASH, COUPLED, MISFIT, OUTLIERS, context, with_diagnosis
+from reporting.case import BACKLASH, COUPLED, MISFIT, OR_HYSTERESIS, OUTLIERS, context, with_diagnosis
 
 
 @pytest.fixture(scope="module")
@@ -18,13 +18,15 @@ def given(tmp_path_factory):
     return context(tmp_path_factory.mktemp("study"))
 
 
-def test_findings_are_told_with_cause_joint_size_and_gain(given):
-    """Fails if a reader of the last lines does not learn what was found, where, how large, and what it is worth."""
-    lines = last_lines(RunOutcome(with_diagnosis(given, BACKLASH, COUPLED, OUTLIERS).results))
+def test_findings_are_told_with_cause_joint_size_probability_and_gain(given):
+    """Fails if a reader of the last lines does not learn what was found, where, how large, how surely, and what it is worth."""
+    lines = last_lines(RunOutcome(with_diagnosis(given, BACKLASH, OR_HYSTERESIS, COUPLED, OUTLIERS).results))
     found = [line for line in lines if line.startswith("found: ")]
     gain = "it takes 0.040 mm off the mean error at held-out poses (95 % interval 0.020 to 0.060 mm)"
     assert found == [
-        f"found: backlash of joint 2, 100.0 ± 4.0 µrad; {gain}",
+        f"found: backlash of joint 2, 100.0 ± 4.0 µrad, with probability 97 %; {gain}",
+        "found: backlash of joint 2 or hysteresis of joint 2, 100.0 ± 4.0 µrad, the first with probability "
+        f"97 %; {gain}",
         f"found: something unexplained that depends on the angles of joints 2 and 3; {gain}",
         "found: 2 rows are far off (lines 12, 31)",
     ]

@@ -379,6 +379,10 @@ class Effect(ABC):
         """The variant in words, e.g. `order 7`."""
         return self.forms.get(next(iter(self.figures.values()), None), "")
 
+    def detail_at(self, joint: int) -> str:
+        """Return the variant in words at a joint (0 for none), in the units in which it moves."""
+        return self.detail
+
     def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
         """Return the robot's lengths and angles with this effect."""
         return dims
@@ -575,7 +579,7 @@ class Cause(ActingEffect):
         """The effect's variant in words, preceded by the part where neither joint nor name implies it."""
         alone = all(parameter.part == self.part for parameter in self.effect.declared)
         part = "" if alone or self.joint or self.part == self.effect.whole else self.part
-        return ", ".join(filter(None, (part, self.effect.detail)))
+        return ", ".join(filter(None, (part, self.effect.detail_at(self.joint))))
 
     @property
     def variant(self) -> str:

@@ -8,7 +8,7 @@ from typing import Self
 
 import numpy as np
 
-from calflow.effects.base import JOINT_ALONE, NEEDS, TRANSMISSION, JointError, Term, Words, around, phases
+from calflow.effects.base import JOINT_ALONE, TRANSMISSION, JointError, Term, Words, around, phases
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Row, State
 from calflow.robot.robot import Robot
@@ -44,9 +44,13 @@ class PeriodicJointError(JointError):
 
     @property
     def detail(self) -> str:
-        """The order, and for a prismatic joint the wavelength."""
-        along = f", on a slide every {2e3 * np.pi / self.order:.3g} mm" if NEEDS["slide"].met(self.robot, ()) else ""
-        return f"order {self.order:.3g}{along}"
+        """The order."""
+        return f"order {self.order:.3g}"
+
+    def detail_at(self, joint: int) -> str:
+        """Return the order, and of a prismatic joint the wavelength."""
+        slides = joint and self.robot.joints[joint - 1].kind == "prismatic"
+        return f"{self.detail}, on a slide every {2e3 * np.pi / self.order:.3g} mm" if slides else self.detail
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
         """Return the cosine and sine terms."""

@@ -9,7 +9,7 @@ from calflow.deployment.run_outcome import RunOutcome
 from calflow.deployment.usability import judgement
 from calflow.design.next_poses import MeasuringVerdict, Suspect
 from calflow.diagnosis.findings import Finding
-from calflow.files.words import capped, mm, number
+from calflow.files.words import capped, mm, number, sureness
 from calflow.reporting.advice import WRONG, advice
 from calflow.reporting.sections.causes import gain_words, shows_gain
 from calflow.reporting.sections.verdict import VERDICT_SECTION, headline, named_steps
@@ -55,9 +55,10 @@ def _findings(outcome: RunOutcome) -> list[str]:
 
 
 def _in_words(finding: Finding) -> str:
-    """Return a finding with its cause, joint, size and gain."""
+    """Return a finding with its cause, joint, size, probability and gain."""
     gains = finding.status != "data_fault" and (finding.is_suspicion or shows_gain(finding))
-    return f"{finding.in_short}; {gain_words(finding)}" if gains else finding.in_short
+    sure = f", {'the first ' if finding.others else ''}with probability {sureness(finding.name_probability)}"
+    return f"{finding.in_short}{sure if finding.is_cause else ''}{f'; {gain_words(finding)}' if gains else ''}"
 
 
 def _verdict(outcome: RunOutcome) -> list[str]:
