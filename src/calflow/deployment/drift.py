@@ -31,7 +31,7 @@ from calflow.deployment.validation import ELSEWHERE, OF_THE_SAME, Station, of_se
 from calflow.design.candidates import candidates
 from calflow.design.optimality import ParameterCriterion
 from calflow.design.search import greedy
-from calflow.design.t_optimality import TCriterion, propose
+from calflow.design.t_optimality import Pair, TCriterion, propose
 from calflow.estimation.calibrated_model import CalibratedModel, shared_errors
 from calflow.files.problems import InputError, refuse
 from calflow.files.tables import StoredResults, column
@@ -119,16 +119,11 @@ def settling(
         slope = moved.slope * moved.sd / sigma
         chosen = greedy(slope, np.diag((moved.sd / best.sd) ** 2), POSES_PROPOSED, ParameterCriterion(len(moved.sd)))
         return _to_measure(model.robot, readings[chosen], payload, marker), None
-    open_ = _left_open(check, bare, conditions, sigma, fitted)
-    every = [best, *rivals[:MOST_RIVALS]]
-    criteria, pairs = {}, []
-    for k, rival in enumerate(every[1:], start=1):
-        if rival.movement.name in there:
-            pairs.append((0, k))
-            for first, other in ((0, k), (k, 0)):
-                criteria[first, other] = _criterion(check, open_, every[first], every[other], there, sigma)
-    if not pairs:
+    possible = [rival for rival in rivals[:MOST_RIVALS] if rival.movement.name in there]
+    if not possible:
         return nothing
+    criteria = _criteria(check, _left_open(check, bare, conditions, sigma, fitted), [best, *possible], there, sigma)
+    pairs = [(0, k) for k in range(1, len(possible) + 1)]
     chosen, after = propose(criteria, pairs, POSES_PROPOSED)
     chance = min(separation.chance for separation in after.values())
     return _to_measure(model.robot, readings[chosen], payload, marker), chance if np.isfinite(chance) else None
@@ -153,25 +148,22 @@ def _left_open(
     return seen, new
 
 
-def _criterion(
-    check: CheckProblem,
-    open_: tuple[np.ndarray, np.ndarray],
-    true: Explained,
-    other: Explained,
-    there: dict[str, Movement],
+def _criteria(
+    check: CheckProblem, nuisance: tuple[np.ndarray, np.ndarray], every: Sequence[Explained], there: Mapping[str, Movement],
     sigma: float,
-) -> TCriterion:
-    """Return the criterion that the other movement and the nuisance parameters cannot imitate the true movement."""
-    whitening = np.sqrt(np.repeat(check.own, 3))
-    imitates = check.columns(other.movement, other.since) * other.movement.sd / whitening[:, None]
-    seen = np.hstack([open_[0], imitates])
-    effect = check.columns(true.movement, true.since) @ true.size / whitening
-    new = there[other.movement.name]
-    further = np.concatenate([open_[1], new.slope * new.sd / sigma], axis=2)
-    return TCriterion.of(
-        np.eye(seen.shape[1]) + seen.T @ seen, seen.T @ effect, float(effect @ effect),
-        there[true.movement.name].slope @ true.size / sigma, further, 0.0,
-    )  # fmt: skip
+) -> dict[Pair, TCriterion]:  # fmt: skip
+    """Return the criterion of each pair of movements, which the nuisance parameters of `_left_open` may imitate too."""
+    whitening = np.sqrt(np.repeat(check.own, 3))[:, None]
+    seen, new = [nuisance[0]], [nuisance[1]]
+    for explained in every:
+        sd = explained.movement.sd
+        seen.append(check.columns(explained.movement, explained.since) * sd / whitening)
+        new.append(there[explained.movement.name].slope * sd / sigma)
+    common, *own = np.split(
+        np.arange(sum(part.shape[1] for part in seen)), np.cumsum([part.shape[1] for part in seen])[:-1]
+    )
+    effects = [explained.size / explained.movement.sd for explained in every]
+    return TCriterion.between(np.hstack(seen), np.concatenate(new, axis=2), common, own, effects, [0.0] * len(every))
 
 
 Status = Literal["in place", "moved", "conditions", "cannot be told", "cannot be seen"]

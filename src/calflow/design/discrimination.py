@@ -15,10 +15,13 @@ from calflow.design.planned import Planned
 from calflow.design.t_optimality import Pair, TCriterion, closest, propose
 from calflow.diagnosis.diagnosis import Diagnosis
 from calflow.diagnosis.fitted import Fitted
+from calflow.diagnosis.screening import Score
 from calflow.diagnosis.stepwise import Detection
 from calflow.diagnosis.verdict import Rival, Verdict, label
 from calflow.effects import effect_class
 from calflow.effects.base import ASKED, Cause
+from calflow.estimation.least_squares import LeastSquares
+from calflow.estimation.probing import probed
 from calflow.estimation.progress import Draws
 from calflow.files.deferred import pd
 from calflow.files.problems import InputError
@@ -212,7 +215,7 @@ def _asked(
 ) -> Question:
     """Return poses that separate a finding from some rivals."""
     scores = [replace(finding.own, cost=0.0), *(replace(r.score, cost=r.cost) for r in rivals if r.score)]
-    criteria = TCriterion.between(fitted, scores, choices, planned)
+    criteria = criteria_between(fitted, scores, choices, planned)
     before = {pair: closest(criteria, pair) for pair in combinations(range(len(scores)), 2)}
     alone = {pair: propose(criteria, [pair], MOST_NEXT_POSES)[1][pair] for pair in before}
     chosen, together = _together(criteria, alone)
@@ -232,6 +235,31 @@ def _asked(
         min(criterion.chance for criterion in together.values()), tuple(open_),
     )  # fmt: skip
     return Question(finding.cause, separations + untested, plan)
+
+
+def criteria_between(
+    fitted: Fitted, scores: Sequence[Score], choices: Measurements, planned: Planned
+) -> dict[Pair, TCriterion]:
+    """Return the criterion of each pair of explanations of a finding (see `TCriterion.between`).
+
+    Args:
+        fitted: the fitted model.
+        scores: of the causes in the finding's place, with costs relative to the finding's; the first cause is in the model.
+        choices: the poses to choose from.
+        planned: how a further pose will be measured.
+    """
+    model, fit = fitted.model, fitted.fit
+    # The cost of parameters and variants, up to a constant of the finding.
+    costs = [float(score.cost - fit.residual.size * np.log1p(-score.share)) for score in scores]
+    both = replace(model, effects=(*model.effects, *(score.cause for score in scores[1:])))
+    own = [both.columns(score.cause) for score in scores]
+    common = np.setdiff1d(np.arange(len(both.parameters)), np.concatenate([*own, np.flatnonzero(fit.at_bound)]))
+    point = np.concatenate([fit.estimate, both.nominal[len(fit.estimate) :]])
+    sd = both.prior_sd
+    seen = probed(LeastSquares.of(both, fitted.data, fitted.noise), point, ())[1] * sd
+    new = planned.whitened(both, point, choices.conditions) * sd
+    effects = [score.estimate / sd[columns] for score, columns in zip(scores, own, strict=True)]
+    return TCriterion.between(seen, new, common, own, effects, costs)
 
 
 def _together(

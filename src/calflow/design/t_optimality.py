@@ -6,52 +6,45 @@ noise, is their separation. Poses are added where it grows most."""
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import permutations
 
 import numpy as np
 import scipy
 
-from calflow.design.planned import Planned
-from calflow.diagnosis.fitted import Fitted
-from calflow.diagnosis.screening import Score
 from calflow.diagnosis.stepwise import WITHIN
-from calflow.estimation.least_squares import LeastSquares
-from calflow.estimation.probing import probed
-from calflow.measurements.measurements import Measurements
 
 Pair = tuple[int, int]  # of explanations, by their numbers
 
 
 @dataclass(frozen=True, eq=False)
-class Imitation:
-    """The Jacobian (n_poses, n_units, n) at further poses of an explanation and all other parameters.
+class PredictiveCovariance:
+    """The predictive covariance of further poses by an explanation and all other parameters, as fitted to the data.
 
-    Parameters are whitened by their information in the data, to unit standard deviations. asked: a cache of covariances
-    between poses, since many pairs use the same poses.
+    whitened (n_poses, n_units, n): Jacobian by the parameters, whitened by their information in the data to unit standard
+    deviations; spread (n_poses, n_units, n_units): covariance of each pose; taken: covariances of the poses measured
+    since with every pose, at unit variance of their own.
     """
 
-    turned: np.ndarray
-    asked: dict[int, np.ndarray] = field(default_factory=dict)
+    whitened: np.ndarray
+    spread: np.ndarray
+    taken: tuple[np.ndarray, ...] = ()
 
     @staticmethod
-    def of(information: np.ndarray, slopes: np.ndarray) -> Imitation:
-        """Return the Jacobian (n_poses, n_units, n) whitened by the parameters' information matrix (n, n)."""
+    def of(information: np.ndarray, slopes: np.ndarray) -> PredictiveCovariance:
+        """Return the covariance from the parameters' information matrix (n, n) and Jacobian (n_poses, n_units, n)."""
         flat = slopes.reshape(-1, slopes.shape[-1]).T
-        turned = scipy.linalg.solve_triangular(np.linalg.cholesky(information), flat, lower=True)
-        return Imitation(turned.T.reshape(slopes.shape))
+        whitened = scipy.linalg.solve_triangular(np.linalg.cholesky(information), flat, lower=True).T.reshape(
+            slopes.shape
+        )
+        return PredictiveCovariance(whitened, np.eye(slopes.shape[1]) + whitened @ whitened.transpose(0, 2, 1))
 
-    @cached_property
-    def spread(self) -> np.ndarray:
-        """Predictive covariance of each pose without its unit noise, shape (n_poses, n_units, n_units)."""
-        return np.asarray(np.eye(self.turned.shape[1]) + self.turned @ self.turned.transpose(0, 2, 1))
-
-    def shared(self, pose: int) -> np.ndarray:
-        """Return the predictive covariance of each pose with a given one, shape (n_poses, n_units, n_units)."""
-        if pose not in self.asked:
-            self.asked[pose] = self.turned @ self.turned[pose].T
-        return self.asked[pose]
+    def measured(self, pose: int) -> PredictiveCovariance:
+        """Return the covariance after one more pose."""
+        shared = self.whitened @ self.whitened[pose].T - sum(taken @ taken[pose].T for taken in self.taken)
+        half = np.linalg.solve(np.linalg.cholesky(self.spread[pose]), shared.transpose(0, 2, 1)).transpose(0, 2, 1)
+        return replace(self, spread=self.spread - half @ half.transpose(0, 2, 1), taken=(*self.taken, half))
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,76 +52,48 @@ class TCriterion:
     """The separation of a true explanation from another one fitted to its effect with all other parameters.
 
     squared [sd²]: squared separation in the data; unexplained (n_poses, n_units): residual of that best fit at each
-    further pose; spread (n_poses, n_units, n_units): its covariance; taken: covariances of the poses measured since
-    with every pose, at unit variance of their own; cost: additional cost of the other explanation.
+    further pose; predictive: its covariance; cost: additional cost of the other explanation.
     """
 
     squared: float
     unexplained: np.ndarray
-    spread: np.ndarray
-    imitation: Imitation
+    predictive: PredictiveCovariance
     cost: float
-    taken: tuple[np.ndarray, ...] = ()
-
-    @staticmethod
-    def of(
-        information: np.ndarray,
-        moment: np.ndarray,
-        energy: float,
-        new_effect: np.ndarray,
-        new_imitate: np.ndarray,
-        cost: float,
-        imitation: Imitation | None = None,
-    ) -> TCriterion:
-        """Set up the criterion of a least squares problem in standard deviations of noise and priors.
-
-        information (n, n), moment (n,) and energy are those of the data; new_effect (n_poses, n_units) and new_imitate
-        (n_poses, n_units, n) those of further poses. Raises ArithmeticError if values are not finite.
-        """
-        solved = np.linalg.solve(information, moment)
-        squared, unexplained = float(energy - moment @ solved), new_effect - new_imitate @ solved
-        if not (np.isfinite(squared) and np.isfinite(unexplained).all()):
-            raise ArithmeticError("what one cause does and another imitates is not finite")
-        imitation = imitation or Imitation.of(information, new_imitate)
-        return TCriterion(squared, unexplained, imitation.spread, imitation, cost)
 
     @staticmethod
     def between(
-        fitted: Fitted, scores: Sequence[Score], choices: Measurements, planned: Planned
-    ) -> dict[Pair, TCriterion]:
-        """Return the criterion of each pair of explanations of a finding, by indices of the true and the fitted one.
+        seen: np.ndarray, new: np.ndarray, common: np.ndarray, own: Sequence[np.ndarray], effects: Sequence[np.ndarray],
+        costs: Sequence[float],
+    ) -> dict[Pair, TCriterion]:  # fmt: skip
+        """Return the criterion of each pair of explanations, by indices of the true and the fitted one.
 
         Args:
-            fitted: the fitted model.
-            scores: of the causes in the finding's place, with costs relative to the finding's; the first cause is in the model.
-            choices: the poses to choose from.
-            planned: how a further pose will be measured.
+            seen: Jacobian of the data (n_rows, n) by all parameters, in standard deviations of noise and priors.
+            new: that of further poses, (n_poses, n_units, n).
+            common: the columns of the parameters that every explanation has.
+            own: those of each explanation's own parameters.
+            effects: each explanation's values of these, in standard deviations of priors.
+            costs: of each explanation, up to a common constant.
+
+        Raises:
+            ArithmeticError: values are not finite.
         """
-        model, fit = fitted.model, fitted.fit
-        # The cost of parameters and variants, up to a constant of the finding.
-        costs = [float(score.cost - fit.residual.size * np.log1p(-score.share)) for score in scores]
-        both = replace(model, effects=(*model.effects, *(score.cause for score in scores[1:])))
-        columns = [both.columns(score.cause) for score in scores]
-        rest = np.setdiff1d(np.arange(len(both.parameters)), np.concatenate(columns))
-        rest = np.setdiff1d(rest, np.flatnonzero(fit.at_bound))
-        point = np.concatenate([fit.estimate, both.nominal[len(fit.estimate) :]])
-        sd = both.prior_sd
-        seen = probed(LeastSquares.of(both, fitted.data, fitted.noise), point, ())[1] * sd
-        new = planned.whitened(both, point, choices.conditions) * sd
-        effects = [score.estimate / sd[span] for score, span in zip(scores, columns, strict=True)]
         products = seen.T @ seen
-        information = products + np.eye(len(sd))
-        imitating = [np.concatenate([rest, span]) for span in columns]
-        imitations = [Imitation.of(information[np.ix_(own, own)], new[..., own]) for own in imitating]
+        information = products + np.eye(len(products))
+        imitating = [np.concatenate([common, columns]) for columns in own]
+        predictive = [PredictiveCovariance.of(information[np.ix_(fit, fit)], new[..., fit]) for fit in imitating]
 
         def criterion(true: int, other: int) -> TCriterion:
-            own, effect = imitating[other], effects[true]
-            moment = products[np.ix_(own, columns[true])] @ effect
-            energy = float(effect @ products[np.ix_(columns[true], columns[true])] @ effect)
-            return TCriterion.of(information[np.ix_(own, own)], moment, energy, new[..., columns[true]] @ effect, new[..., own],
-                                 costs[other] - costs[true], imitations[other])  # fmt: skip
+            fit, columns, effect = imitating[other], own[true], effects[true]
+            moment = products[np.ix_(fit, columns)] @ effect
+            solved = np.linalg.solve(information[np.ix_(fit, fit)], moment)
+            energy = float(effect @ products[np.ix_(columns, columns)] @ effect)
+            squared, unexplained = float(energy - moment @ solved), new[..., columns] @ effect - new[..., fit] @ solved
+            if not (np.isfinite(squared) and np.isfinite(unexplained).all()):
+                raise ArithmeticError("what one cause does and another imitates is not finite")
+            return TCriterion(squared, unexplained, predictive[other], costs[other] - costs[true])
 
-        return {pair: criterion(*pair) for pair in permutations(range(len(scores)), 2)}
+        return {pair: criterion(*pair) for pair in permutations(range(len(own)), 2)}
 
     @property
     def separation(self) -> float:
@@ -149,19 +114,14 @@ class TCriterion:
     @cached_property
     def growth(self) -> np.ndarray:
         """Increase of the squared separation by each further pose, shape (n_poses,)."""
-        solved = np.linalg.solve(self.spread, self.unexplained[..., None])[..., 0]
+        solved = np.linalg.solve(self.predictive.spread, self.unexplained[..., None])[..., 0]
         return np.asarray((self.unexplained * solved).sum(axis=1))
 
-    def measured(self, pose: int) -> TCriterion:
-        """Return the criterion after one more pose."""
-        shared = self.imitation.shared(pose) - sum(taken @ taken[pose].T for taken in self.taken)
-        factor = np.linalg.cholesky(self.spread[pose])
-        half = np.linalg.solve(factor, shared.transpose(0, 2, 1)).transpose(0, 2, 1)
-        surprise = np.linalg.solve(factor, self.unexplained[pose])
-        return replace(
-            self, squared=self.squared + float(surprise @ surprise), unexplained=self.unexplained - half @ surprise,
-            spread=self.spread - half @ half.transpose(0, 2, 1), taken=(*self.taken, half),
-        )  # fmt: skip
+    def measured(self, pose: int, predictive: PredictiveCovariance) -> TCriterion:
+        """Return the criterion after one more pose, from the covariance after it."""
+        surprise = np.linalg.solve(np.linalg.cholesky(self.predictive.spread[pose]), self.unexplained[pose])
+        unexplained = self.unexplained - predictive.taken[-1] @ surprise
+        return TCriterion(self.squared + float(surprise @ surprise), unexplained, predictive, self.cost)
 
 
 def closest(criteria: Mapping[Pair, TCriterion], pair: Pair) -> TCriterion:
@@ -179,5 +139,6 @@ def propose(
         growth = min(now.values(), key=lambda criterion: criterion.lead).growth.copy()
         growth[chosen] = -1.0
         chosen.append(int(np.argmax(growth)))
-        now = {key: criterion.measured(chosen[-1]) for key, criterion in now.items()}
+        after = {one: one.measured(chosen[-1]) for one in {criterion.predictive for criterion in now.values()}}
+        now = {key: criterion.measured(chosen[-1], after[criterion.predictive]) for key, criterion in now.items()}
     return chosen, {pair: closest(now, pair) for pair in pairs}
