@@ -15,6 +15,7 @@ from functools import partial
 import numpy as np
 import scipy
 
+from calflow.deployment.attained import rigid_slope
 from calflow.design.candidates import candidates
 from calflow.estimation.calibrated_model import CalibratedModel, choice_errors, position_variance, shared_errors
 from calflow.estimation.prior_scale import by_scale, strays
@@ -148,12 +149,8 @@ def promised_in_space(calibrated: CalibratedModel, rng: np.random.Generator, nam
 
 def _taught(points: np.ndarray, turned: np.ndarray) -> np.ndarray:
     """Return an orthonormal basis (3 n, 9) of motions of points (n, 3) by base placement and point on the flange."""
-    n = len(points)
-    x, y, z = (points - points.mean(axis=0)).T
-    zero = np.zeros(n)
-    by_turn = np.stack([zero, z, -y, -z, zero, x, y, -x, zero], axis=1).reshape(n, 3, 3)
-    moves = np.concatenate([np.tile(np.eye(3), (n, 1, 1)), by_turn, turned], axis=2)
-    return np.asarray(np.linalg.qr(moves.reshape(3 * n, 9))[0])
+    moves = np.concatenate([rigid_slope(points), turned], axis=2)
+    return np.asarray(np.linalg.qr(moves.reshape(3 * len(points), 9))[0])
 
 
 def _untaught(errors: np.ndarray, taught: np.ndarray) -> np.ndarray:
