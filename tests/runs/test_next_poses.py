@@ -12,6 +12,7 @@ import pytest
 
 import calflow.stages.measuring_loop as loop
 from calflow.design.candidates import allowed
+from calflow.model import build
 from calflow.runs.given_rows import with_rows
 from calflow.stages.measuring_loop import next_poses
 from calflow.study import load_study
@@ -80,7 +81,7 @@ def test_the_verdict_and_the_poses_are_written_and_within_the_cell(small):
     assert poses["reason"].str.len().min() > 5
     study = load_study(small.path)
     cell = study.validated_settings("select", loop.SelectSettings).cell
-    model = loop.build(study.robot, ("geometry",), (), ())
+    model = build(study.robot, ("geometry",), (), ())
     q = np.deg2rad(poses[["q1_deg", "q2_deg", "q3_deg"]].to_numpy())
     region = np.array([[0.2, -1.5, 0.2], [1.5, 1.5, 1.2]]) + np.array([[-5e-3], [5e-3]])  # the base is fitted
     assert allowed(model, q, "heavy", "tool", region, cell).all()

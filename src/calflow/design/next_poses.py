@@ -16,10 +16,10 @@ import numpy as np
 from calflow.design.discrimination import Question, fitted_share, planned_like, questions, rows_like
 from calflow.design.measuring_order import shortest_tour
 from calflow.design.optimality import ToolError, information
-from calflow.design.planned import Planned, SelectionRequest
+from calflow.design.planned import Measure, Planned, SelectionRequest
 from calflow.design.search import greedy
 from calflow.design.selection import PlannedPose, planned_poses
-from calflow.design.task_error import Measure, MissingEffects, Site, TaskError, WeightedForm, task_error
+from calflow.design.task_error import MissingEffects, Site, TaskError, WeightedForm, task_error
 from calflow.diagnosis.diagnosis import Diagnosis, extended_model
 from calflow.diagnosis.findings import findings
 from calflow.diagnosis.screening import Catalogue
@@ -77,17 +77,11 @@ def uncertainties(
     """Return the sources of uncertainty of the tool over the task, with their effect at the candidate poses."""
     whole, fitted = missing.fitted.model, missing.fitted
     free = np.flatnonzero(~fitted.fit.at_bound)
-    asked = _material(missing, error)
-    model = replace(whole, observations=(planned.observation,))
-    estimate = whole.handed_on(fitted.fit.estimate, model)
+    asked, estimate = _material(missing, error), fitted.fit.estimate
     effects = [effect for lack in asked for effect in lack.form.effects]
-    problem = planned.problem(model, estimate, choices.conditions)
-    _, slopes = probed(problem, estimate, effects)
+    _, slopes = probed(planned.problem(whole, estimate, choices.conditions), estimate, effects)
     slopes = slopes.reshape(len(choices), -1, slopes.shape[1])
-    place = {p.identity: k for k, p in enumerate(model.parameters)}
-    places = [place.get(whole.parameters[k].identity) for k in free]
-    # The pose of another device is not observed by these poses.
-    jacobian = np.stack([slopes[:, :, k] if k is not None else np.zeros(slopes.shape[:2]) for k in places], axis=2)
+    jacobian = slopes[:, :, free]
     root = np.linalg.cholesky(missing.covariance)
     uncertainties = [Uncertainty(PARAMETERS, jacobian @ root, site.slopes[:, :, free] @ root)]
     start = len(estimate)
@@ -99,7 +93,7 @@ def uncertainties(
         start += len(columns)
     if planned.observation.units == (METRE,) * 3:
         both = (choices.conditions, site.conditions)
-        seen, tool = (offsets(alternatives, whole, fitted.fit.estimate, rows) for rows in both)
+        seen, tool = (offsets(alternatives, whole, estimate, rows) for rows in both)
         for k, alternative in enumerate(alternatives):
             size, own = np.sqrt(alternative.probability), slice(k, k + 1)
             uncertainties.append(
@@ -270,37 +264,25 @@ class NextStep:
         return Results({"poses.csv": self.poses}, {"verdict.json": to_document(self.verdict)})
 
 
-@dataclass(frozen=True, kw_only=True)
-class NextPosesRequest:
-    """The settings for next poses: their selection (see `SelectionRequest`), and when to stop.
-
-    tolerance [m]: limit of the tool's error over the task, by measure; confidence: the probability of meeting it at
-    which measuring may stop.
-    """
-
-    selection: SelectionRequest
-    measure: Measure = "rms"
-    tolerance: float | None = None
-    confidence: float = CONFIDENCE
-
-
 def next_step(
-    diagnosis: Diagnosis, identified: CalibratedModel, data: Measurements, request: NextPosesRequest, rng: Draws
-) -> NextStep:
+    diagnosis: Diagnosis, identified: CalibratedModel, data: Measurements, asked: SelectionRequest, confidence: float,
+    rng: Draws,
+) -> NextStep:  # fmt: skip
     """Return the verdict on a diagnosed model and its tolerance, and the poses to measure next.
 
     Args:
         diagnosis: the diagnosis of the measurements.
         identified: the model before diagnosis.
         data: the measurements, gross mistakes corrected.
-        request: the settings; the selection names a task and a marker.
+        asked: the selection of poses, which names a task and a marker.
+        confidence: probability of meeting the tolerance at which measuring may stop.
         rng: random numbers for all draws.
 
     Raises:
         InputError: no stated pose, or hardly any drawn one, is admissible.
     """
     # The deployed model, without unproven effects.
-    fitted, asked = diagnosis.final or diagnosis.extended.fitted.with_causes(()), request.selection
+    fitted = diagnosis.final or diagnosis.extended.fitted.with_causes(())
     assert asked.task is not None
     catalogue = Catalogue.of(fitted.data, [effect.id for effect in fitted.plain])
     missing = MissingEffects.of(fitted, catalogue)
@@ -310,8 +292,8 @@ def next_step(
     by_cause = [
         [rival for rival in rivals if rival.gone == cause] for cause in diagnosis.causes[: diagnosis.n_deployed]
     ]
-    error = task_error(missing, by_cause, site, request.measure, rng("task error"))
-    verdict = _verdict(diagnosis, identified, data, missing, catalogue, error, request, rng)
+    error = task_error(missing, by_cause, site, asked.measure, rng("task error"))
+    verdict = _verdict(diagnosis, identified, data, missing, catalogue, error, asked, confidence, rng)
     calibrated = extended_model(diagnosis, identified, data)
     if verdict.status == "stop":
         nothing = planned_poses(bare, asked, np.zeros((0, bare.robot.n_joints))).assign(reason="")
@@ -319,7 +301,7 @@ def next_step(
     planned = planned_like(fitted, fitted_share(data))
     choices = _choices(bare, fitted.data, planned, asked, rng("candidates"))
     every = uncertainties(missing, error, rivals, site, planned, choices)
-    chosen = further_poses(every, questions(diagnosis, data, rng, choices), choices, request.measure, asked.number)
+    chosen = further_poses(every, questions(diagnosis, data, rng, choices), choices, asked.measure, asked.number)
     return NextStep(verdict, numbered_on(_table(bare, choices, chosen, asked), data), calibrated)
 
 
@@ -330,22 +312,20 @@ def _rivals(diagnosis: Diagnosis) -> list[Alternative]:
 
 def _verdict(
     diagnosis: Diagnosis, identified: CalibratedModel, data: Measurements, missing: MissingEffects, catalogue: Catalogue,
-    error: TaskError, request: NextPosesRequest, rng: Draws,
+    error: TaskError, asked: SelectionRequest, confidence: float, rng: Draws,
 ) -> MeasuringVerdict:  # fmt: skip
-    fitted, tolerance = missing.fitted, request.tolerance
+    fitted, tolerance = missing.fitted, asked.tolerance
     probability = None if tolerance is None else error.probability(tolerance)
-    status: Status = (
-        "no tolerance" if probability is None else "stop" if probability >= request.confidence else "measure"
-    )
+    status: Status = "no tolerance" if probability is None else "stop" if probability >= confidence else "measure"
     heldout = data.only(data.held_out)
     outside = distances(errors(fitted.model, fitted.fit.estimate, heldout, METRE))
     outside = outside[np.isfinite(outside)]
     lacking = findings(diagnosis, identified, data, as_table((), data), rng("resamples"))
     return MeasuringVerdict(
         status=status, poses=data.table["pose"].nunique(), fitted_poses=fitted.data.table["pose"].nunique(),
-        measure=request.measure, tolerance_mm=in_mm(tolerance), confidence=request.confidence, probability=probability,
+        measure=asked.measure, tolerance_mm=in_mm(tolerance), confidence=confidence, probability=probability,
         probability_at_best=None if tolerance is None else error.within_at_best(tolerance),
-        error_mm=in_mm(error.quantile(0.5)), error_most_mm=in_mm(error.quantile(request.confidence)),
+        error_mm=in_mm(error.quantile(0.5)), error_most_mm=in_mm(error.quantile(confidence)),
         heldout_rms_mm=in_mm(float(np.sqrt((outside**2).mean()))) if len(outside) else None,
         leftout_rms_mm=in_mm(fitted.left_out.rms), elsewhere_mm=in_mm(float(fitted.left_out.excess())),
         noise_mm=in_mm(fitted.noise.typical(METRE)) or None, noise_known=fitted.noise.known,

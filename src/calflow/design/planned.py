@@ -32,6 +32,7 @@ from calflow.observations.position import Position
 from calflow.robot.robot import Robot
 
 Aim = Literal["parameters", "tool", "worst"]  # whose variance is minimised
+Measure = Literal["rms", "worst"]  # of the tool's error over the task
 Order = Literal["short", "random"]  # in which poses are measured
 Record = Literal["approach", "travel", "time", "temperature"]  # conditions recorded besides joint readings
 USUAL_DRIFT = 5e-5  # m: of a laser tracker in an afternoon
@@ -67,7 +68,7 @@ class Planned:
     def problem(self, model: Model, p: np.ndarray, conditions: np.ndarray) -> LeastSquares:
         """Return the least squares problem of packed conditions (n_conditions, n_rows) with the predictions at p.
 
-        The planned observation is the model's only one.
+        The model's observations hold the planned one.
         """
         reported = self.observation.expected(model.point(p, conditions), model.rotation(p, conditions))
         sigma = np.tile(self.sd[:, None], conditions.shape[1])
@@ -196,7 +197,8 @@ class SelectionRequest:
         candidates: number of candidates drawn.
         stated: joint readings (n, n_joints) to choose from, instead of drawn candidates.
         there: packed conditions (n_conditions, n) of existing measurements, whose information is included.
-        tolerance: standard deviation [m] of the tool over the task, for which the number of poses is sought.
+        tolerance: limit [m] of the tool's error over the task: of its standard deviation, for which the number of poses is
+            sought, or of the true error, within which measuring may stop.
         refine: whether chosen poses are moved between the candidates; not for the worst point.
         order: measuring order: a short tour, or blocks drawn at random.
         drift: steady drift [m] from the first pose to the last, whose bias is reported.
@@ -226,6 +228,11 @@ class SelectionRequest:
             raise refuse(
                 f"expected at least as many as poses, {self.number}, found {self.candidates}", key="candidates"
             )
+
+    @property
+    def measure(self) -> Measure:
+        """The measure of the tool's error over the task that is compared with the tolerance."""
+        return "worst" if self.aim == "worst" else "rms"
 
     def rows(self, model: Model, readings: np.ndarray) -> np.ndarray:
         """Return packed conditions (n_conditions, n) of poses; the request must name a marker."""

@@ -24,7 +24,7 @@ import numpy as np
 import scipy
 
 from calflow.design.discrimination import rows_like
-from calflow.design.planned import Planned, Task
+from calflow.design.planned import Measure, Planned, Task
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import Regressors
 from calflow.diagnosis.screening import Catalogue, Screening
@@ -221,9 +221,6 @@ def _information(r: Regressors[Cause], level: float) -> np.ndarray:
 def _gradient(r: Regressors[Cause], level: float) -> np.ndarray:
     """Return the gradient of chi²/2 by the free parameters at the estimate."""
     return np.asarray(r.products.fitted_left / level + r.pull)
-
-
-Measure = Literal["rms", "worst"]
 
 
 @dataclass(frozen=True, eq=False)

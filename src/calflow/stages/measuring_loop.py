@@ -13,7 +13,6 @@ from calflow.design.next_poses import (
     CONFIDENCE,
     PRECISION,
     MeasuringVerdict,
-    NextPosesRequest,
     NextStep,
     Status,
     in_mm,
@@ -22,7 +21,6 @@ from calflow.design.next_poses import (
 )
 from calflow.design.planned import Task
 from calflow.design.selection import TASK_POSES, select
-from calflow.design.task_error import Measure
 from calflow.diagnosis.diagnosis import search_causes
 from calflow.estimation.identification import fit_effects, too_few_equations
 from calflow.estimation.progress import Say, draws, nobody
@@ -30,9 +28,9 @@ from calflow.faults import examined
 from calflow.files.problems import refuse, refuse_any
 from calflow.files.toml import Confidence, Count, checked_arguments
 from calflow.measurements.measurements import Measurements
-from calflow.model import build, stated
+from calflow.model import stated
 from calflow.observations import observations
-from calflow.stages.select import by_sides, measured_rows, named_problems, planned_of, request_of, select_problems
+from calflow.stages.select import measured_rows, named_problems, planned_selection, request_of, select_problems
 from calflow.stages.settings import DiagnoseSettings, IdentifySettings, SelectSettings
 from calflow.study import Study
 
@@ -79,11 +77,6 @@ def next_poses(
     return _diagnosed_step(study, settings, data, number, tolerance, confidence, say)
 
 
-def _measure(settings: SelectSettings) -> Measure:
-    """Return the measure of error that is compared with the tolerance, according to the study's criterion."""
-    return "worst" if settings.criterion == "worst" else "rms"
-
-
 def _initial_step(
     study: Study, settings: SelectSettings, data: Measurements | None, number: int, tolerance: float | None, confidence: float,
     notes: tuple[str, ...],
@@ -91,18 +84,14 @@ def _initial_step(
     """Return the next step while there are no measurements, or too few to identify anything."""
     refuse_any(select_problems(study, settings, data))
     rng = draws(study.file.seed)
-    effects = tuple(dict.fromkeys((*study.file.effects, *settings.also_effects)))
-    planned = planned_of(study, settings)
-    one_sided = by_sides(effects)
-    model = build(study.robot, [effect for effect in effects if effect not in one_sided], (), (planned.observation,))
-    request = request_of(study, settings, model, planned, rng("task"))
+    model, request, _ = planned_selection(study, settings, rng("task"))
     there = None if data is None else measured_rows(data)
     chosen = select(model, replace(request, number=number, there=there), rng=rng)
     status: Status = "nothing measured" if data is None else "too few"
     verdict = MeasuringVerdict(
         status=status, poses=0 if data is None else data.table["pose"].nunique(),
         fitted_poses=0 if data is None else data.table.loc[data.train, "pose"].nunique(),
-        measure=_measure(settings), confidence=confidence, tolerance_mm=in_mm(tolerance), notes=notes,
+        measure=request.measure, confidence=confidence, tolerance_mm=in_mm(tolerance), notes=notes,
     )  # fmt: skip
     reason = "surer parameters" if settings.aim == "parameters" else PRECISION
     return NextStep(verdict, numbered_on(chosen.poses.assign(reason=reason), data))
@@ -139,13 +128,8 @@ def _diagnosed_step(
         task = Task.within(bare, (settings.payload,), marker, settings.region, TASK_POSES, rng("task"))
     elif task is None:
         task, notes = _measured(first.data, marker), (*notes, WHERE_MEASURED)
-    request = NextPosesRequest(
-        selection=replace(asked, number=number, marker=marker, task=task),
-        measure=_measure(settings),
-        tolerance=tolerance,
-        confidence=confidence,
-    )
-    return next_step(search, first.known, replace(first.data, notes=notes), request, rng)
+    asked = replace(asked, number=number, marker=marker, task=task, tolerance=tolerance)
+    return next_step(search, first.known, replace(first.data, notes=notes), asked, confidence, rng)
 
 
 def _measured(data: Measurements, marker: str) -> Task:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -116,6 +116,19 @@ def request_of(
     )  # fmt: skip
 
 
+def planned_selection(
+    study: Study, settings: SelectSettings, rng: np.random.Generator
+) -> tuple[Model, SelectionRequest, list[str]]:
+    """Return the model that the poses are to determine before any is measured, the request for them, and the effects that
+    are not in the model, since they depend on the side from which joints approach rather than on the poses."""
+    robot = study.robot if from_outside(study) else replace(study.robot, base=Base(fixed=True))
+    planned = planned_of(study, settings)
+    effects = list(dict.fromkeys((*study.file.effects, *settings.also_effects)))
+    one_sided = [effect for effect in effects if SIDES & set(catalogue()[effect].needs)]
+    model = build(robot, [effect for effect in effects if effect not in one_sided], (), (planned.observation,))
+    return model, request_of(study, settings, model, planned, rng), one_sided
+
+
 def measured_rows(data: Measurements) -> np.ndarray:
     """Return the conditions of the training poses without optional ones, a column per pose, marker and payload."""
     measured_rows = data.table.loc[data.train].drop_duplicates(["pose", "marker", "payload"]).index
@@ -157,11 +170,6 @@ def planned_of(study: Study, settings: SelectSettings) -> Planned:
     return Planned(observation, sigma, PerUnit(((RADIAN, settings.sigma_rotation),)))
 
 
-def by_sides(effects: Sequence[str]) -> list[str]:
-    """Return those of these effects that depend on approach directions or travel, rather than on the poses."""
-    return [effect for effect in effects if SIDES & set(catalogue()[effect].needs)]
-
-
 def _unplaced(study: Study, settings: SelectSettings) -> Problem | None:
     """Return the problem of settings that planning needs of the series and the study does not state, if any."""
     try:
@@ -187,13 +195,9 @@ def _run(context: Context) -> Results:
     """Choose poses by D-optimal greedy addition and exchange, and report the worth of every number of poses."""
     study, settings = context.study, context.settings
     refuse_any(select_problems(study, settings, None))
-    robot = study.robot if from_outside(study) else replace(study.robot, base=Base(fixed=True))
-    planned = planned_of(study, settings)
-    effects = tuple(dict.fromkeys((*study.file.effects, *settings.also_effects)))
-    one_sided = by_sides(effects)
-    model = build(robot, [effect for effect in effects if effect not in one_sided], (), (planned.observation,))
+    model, request, one_sided = planned_selection(study, settings, context.rng("task"))
     request = replace(
-        request_of(study, settings, model, planned, context.rng("task")),
+        request,
         there=measured_rows(study.measurements()) if settings.add_to_measured else None, tolerance=settings.tolerance,
         refine=settings.refine, order=settings.order, drift=settings.drift, both_sides=bool(one_sided),
     )  # fmt: skip
@@ -202,7 +206,7 @@ def _run(context: Context) -> Results:
         *worth_words(chosen.worth),
         *drift_words(chosen.drift),
         *sides_words(chosen.poses, one_sided),
-        *_floor_words(chosen.poses, settings, robot.base),
+        *_floor_words(chosen.poses, settings, model.robot.base),
     ):
         context.say(line)
     tables = {
@@ -212,7 +216,7 @@ def _run(context: Context) -> Results:
         "select/order.csv": to_frame(chosen.drift, DriftPull),
     }
     if settings.isolability:
-        tables["select/isolability.csv"] = _isolability(context, model, planned, chosen)
+        tables["select/isolability.csv"] = _isolability(context, model, request.planned, chosen)
     documents = {"select/certificate.json": chosen.certificate, "select/how_many.json": chosen.how_many}
     return Results(tables, {path: to_document(document) for path, document in documents.items()})
 
