@@ -22,6 +22,7 @@ from calflow.model import Model, build
 from calflow.robot.parts import Marker
 from calflow.robot.robot import Robot
 from calflow.sampling.chain import ChainLength
+from calflow.sampling.posterior import Posterior
 from calflow.sampling.sample import sample
 from robots import industrial
 from sampling.ranks import rank
@@ -58,6 +59,9 @@ class Design:
         whole, names = industrial(), "EFG"[: self.markers]
         markers = dict(zip(names, map(Marker, APART), strict=False))
         return replace(whole, joints=whole.joints[: self.joints], markers=markers)
+
+
+SMALL = Design(joints=3, poses=30, level=0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,18 +132,26 @@ class Told:
     at_bound: int
 
 
-def told(case: Case, design: Design, rng: np.random.Generator) -> Told:
-    """Calibrate a case, sample it, and hold what is said against the truth."""
-    fit = case.fitted()
-    known, length = fit, ChainLength(max_steps=STEPS, block=STEPS)
+def sampled(case: Case, rng: np.random.Generator) -> tuple[cf.Calibration, Posterior]:
+    """Calibrate a case, and sample it."""
+    fit, length = case.fitted(), ChainLength(max_steps=STEPS, block=STEPS)
     seed = int(rng.integers(2**31))
     with TemporaryDirectory() as folder:
-        sampled = sample(known, fit.data, Path(folder, "chain.h5"), length, rng=draws(seed))
-    chosen = sampled.points.reshape(-1, len(case.truth) + 1)
+        return fit, sample(fit, fit.data, Path(folder, "chain.h5"), length, rng=draws(seed))
+
+
+def told(case: Case, design: Design, rng: np.random.Generator) -> Told:
+    """Calibrate a case, sample it, and hold what is said against the truth."""
+    return compared(case, design, *sampled(case, rng), rng)
+
+
+def compared(case: Case, design: Design, known: cf.Calibration, drawn: Posterior, rng: np.random.Generator) -> Told:
+    """Hold what a calibration and its sample say against the truth."""
+    chosen = drawn.points.reshape(-1, len(case.truth) + 1)
     chosen = chosen[rng.choice(len(chosen), DRAWS, replace=False)]
     values, truth, names = [chosen[:, :-1]], [case.truth], [p.name for p in case.model.parameters]
     if not design.shared and not design.repeating:  # else what is left is no single noise
-        values.append(chosen[:, -1:] + np.log(fit.noise(fit.data).total[0] / SIGMA))
+        values.append(chosen[:, -1:] + np.log(known.noise(known.data).total[0] / SIGMA))
         truth.append(np.array([case.log_noise]))
         names.append("noise")
     further = case.data.only(case.data.held_out)

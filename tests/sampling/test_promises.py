@@ -5,24 +5,20 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
+
 import numpy as np
 import pytest
 from scipy.stats import norm
 
-from sampling.calibrations import DRAWS, SIGMA, Case, Design, told
+from sampling.calibrations import DRAWS, SIGMA, SMALL, Case, Design, compared
 from sampling.ranks import Band, chi2_p, rank
-
-SMALL = Design(joints=3, poses=30, level=0.0)
 
 
 @pytest.fixture(scope="module")
-def found():
-    """What twelve calibrations of a robot of three joints say."""
-    every = []
-    for case in range(12):
-        rng = np.random.default_rng([31, case])
-        every.append(told(Case.drawn(SMALL, rng), SMALL, rng))
-    return every
+def found(small_robots):
+    """What the small robots' calibrations say."""
+    return [compared(case, SMALL, known, drawn, deepcopy(rng)) for case, known, drawn, rng in small_robots]
 
 
 def test_truths_lie_where_the_draws_are(found):

@@ -2,21 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.stats import chi
 
 from calflow.deployment.compensation import turn_sd
 from calflow.estimation.calibrated_model import position_variance
-from calflow.estimation.progress import draws
-from calflow.sampling.chain import ChainLength
-from calflow.sampling.sample import sample
 from calflow.sampling.task_points import ErrorDraws, PointErrors, TaskTolerances, point_errors, task_summary, task_table
-from sampling.calibrations import Case, Design
-
-SMALL = Design(joints=3, poses=30, further=12, level=0.0)
 
 
 def spread(parameters: float, own: float, points: int, rng: np.random.Generator) -> ErrorDraws:
@@ -48,24 +40,17 @@ def test_a_point_meets_both_tolerances_or_none():
 
 
 @pytest.fixture(scope="module")
-def calibrations(tmp_path_factory):
-    """Ten calibrated and sampled robots, with what is said of twelve further poses of each."""
+def calibrations(small_robots):
+    """The small robots, with what is said of ten further poses of each."""
     found = []
-    for k in range(10):
-        case = Case.drawn(SMALL, np.random.default_rng([41, k]))
-        fitted = case.fitted()
-        known, data = fitted, fitted.data
-        chain = tmp_path_factory.mktemp("chains") / f"{k}.h5"
-        sampled = sample(known, data, Path(chain), ChainLength(max_steps=80, block=80), rng=draws(k))
-        task = data.only(data.held_out)
-        found.append(
-            (case, sampled, known, task, point_errors(sampled, known, task.conditions, np.random.default_rng(k)))
-        )
+    for k, (case, known, drawn, _) in enumerate(small_robots):
+        task = known.data.only(known.data.held_out)
+        found.append((case, drawn, known, task, point_errors(drawn, known, task.conditions, np.random.default_rng(k))))
     return found
 
 
 def test_true_errors_are_as_large_as_was_said(calibrations):
-    """Fails if what is told is 20 % too small: in twelve poses of ten robots errors, by axis, have then an rms of 1.25."""
+    """Fails if what is told is 20 % too small: in ten poses of twelve robots errors, by axis, have then an rms of 1.25."""
     z, below = [], []
     for case, _, known, task, found in calibrations:
         error = case.model.point(case.truth, task.conditions) - known.model.point(known.estimate, task.conditions)
