@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -29,7 +29,7 @@ from calflow.estimation.needed_conditions import check_stated
 from calflow.files.problems import refuse
 from calflow.files.tables import StoredResults, column
 from calflow.files.toml import Confidence, Count, checked_arguments
-from calflow.files.units import METRE
+from calflow.files.units import METRE, MeasurementUnit
 from calflow.measurements.measurements import Measurements
 
 CONFIDENCE = 0.95  # default of a verdict, and level of intervals
@@ -212,6 +212,32 @@ def validate(
     Raises:
         InputError: a needed condition is missing, too few poses to fit a frame, or an invalid argument.
     """
+    sent = _sent(data, sent, figures)
+    check_stated(calibrated.needed, data.given)
+    # The device's wander is in its readings, not in the robot's pose: it is predicted where the time is stated.
+    wanders = {*calibrated.errors.inputs} & {*data.given}
+    given = data.stating([*wanders, *(need.condition for need in calibrated.needed)]).given
+    stated = replace(calibrated, model=replace(calibrated.model, given=given))
+    attained = Attained.of(stated, data, figures)
+    _check_tolerance(tolerance, attained.unit)
+    field_notes = of_field(stated, data.stating(given).on(stated.model.robot).conditions)
+    judged: Judged = "commanded" if COMMANDED in attained.expected else "calibrated" if figures is None else "figures"
+    compared = _Comparison(attained, judged, *stands(attained, station))
+    noise = calibrated.noise(data).typical(attained.unit) if calibrated.noise_known else None
+    summary = _summary(compared, noise, rows=len(data), sent=sent, task=task, confidence=confidence)
+    if tolerance is not None:
+        summary = _with_verdict(summary, compared, tolerance)
+    notes = (*data.notes, *compared.notes, *field_notes, *beyond_limits(data))
+    statistics = tuple(compared.statistics(model) for model in compared.size)
+    return Validation(statistics, compared.points(tolerance), replace(summary, notes=notes))
+
+
+def _sent(data: Measurements, sent: Sent | None, figures: FiguresAlone | None) -> Sent | None:
+    """Return what the robot was given: corrected commands where targets are stated and nothing else is.
+
+    Raises:
+        InputError: there are no rows, or none that what was sent is judged by.
+    """
     if not len(data):
         raise refuse("expected rows, found none", key="data")
     has_targets = all(name in data.table for name in TARGET)
@@ -221,72 +247,14 @@ def validate(
         )
     if figures is not None and not data.has_positions:
         raise refuse("controller figures are judged by measured positions", key="sent")
-    sent = sent or ("corrected commands" if has_targets else None)
-    check_stated(calibrated.needed, data.given)
-    # The device's wander is in its readings, not in the robot's pose: it is predicted where the time is stated.
-    wanders = {*calibrated.errors.inputs} & {*data.given}
-    given = data.stating([*wanders, *(need.condition for need in calibrated.needed)]).given
-    stated = replace(calibrated, model=replace(calibrated.model, given=given))
-    attained = Attained.of(stated, data, figures)
-    unit, shown = attained.unit, attained.unit.shown
+    return sent or ("corrected commands" if has_targets else None)
+
+
+def _check_tolerance(tolerance: float | None, unit: MeasurementUnit) -> None:
+    """Refuse a tolerance that is not positive, or a metre or more."""
     if tolerance is not None and not 0 < tolerance < (1 if unit == METRE else np.inf):
         most = " and less than 1000 mm" if unit == METRE else ""
-        raise refuse(f"expected more than 0{most}, found {shown(tolerance):g}", key="tolerance")
-    field_notes = of_field(stated, data.stating(given).on(stated.model.robot).conditions)
-    judged: Judged = "calibrated" if figures is None else "figures"
-    judged = "commanded" if COMMANDED in attained.expected else judged
-    fitted, frames = stands(attained, station)
-    error = {model: attained.errors(model, fitted) for model in attained.expected}
-    size = {model: np.linalg.norm(errors, axis=1) for model, errors in error.items()}
-    lost = FREEDOM * int(fitted.sum())
-    further_ones = {model: _further(attained, model, fitted) for model in attained.expected}
-    accuracy = tuple(_statistics(model, attained, sizes, lost, further_ones[model]) for model, sizes in size.items())  # type: ignore[arg-type]
-    worst = further_ones[judged]
-    asked = task or int(attained.pose.max() + 1)
-    within = None if tolerance is None else size[judged] <= tolerance
-    beyond = 0 if tolerance is None else int((size[judged] - ONE_SIDED * attained.noise > tolerance).sum())
-    further = None if tolerance is None else _or_none(worst.within(tolerance))
-    whole = None if tolerance is None else _or_none(worst.within(tolerance, asked))
-    p_moved = _moved_p(attained, error[CALIBRATED], frames) if frames and not fitted.any() else None
-    moves = _motions(attained, fitted, frames)
-    sigma = calibrated.noise(data)
-    noise = sigma.typical(unit) if calibrated.noise_known else None
-    sd = attained.promised(fitted)
-    promised = float(np.sqrt(np.mean(sd**2)))
-    summary = ValidationSummary(
-        status=_status(within, beyond, whole if task else further, confidence),
-        judged=judged,
-        sent=sent,
-        tolerance_mm=None if tolerance is None else _or_none(attained.in_mm(tolerance)),
-        confidence=confidence,
-        further_within=further,
-        task_poses=asked,
-        task_within=whole,
-        decided_by="task" if task else "further pose",
-        poses=int(attained.pose.max() + 1),
-        rows=len(data),
-        beyond=beyond,
-        station="fitted" if fitted.any() else "known",
-        frames=int(fitted.sum()),
-        freedom_lost=lost,
-        moved_mm=max((1e3 * far for far, _ in moves), default=None),
-        turned_mrad=max((1e3 * angle for _, angle in moves), default=None),
-        moved_p=p_moved,
-        noise_mm=None if noise is None else _or_none(attained.in_mm(noise)),
-        promised_mm=attained.in_mm(promised),
-        ap_mm=attained.in_mm(float(size[judged].max())),
-        rp_mm=_or_none(attained.in_mm(_largest(attained.repeatability))),
-        fewest_cycles=int(attained.table["rows"].min()),
-        cube_edge_mm=_or_none(attained.in_mm(cube_edge(_places(attained)))),
-        unit=unit.label,
-        tolerance=None if tolerance is None else shown(tolerance),
-        noise=None if noise is None else shown(noise),
-        promised=shown(promised),
-        notes=(*data.notes, *_notes(attained, size, p_moved, fitted), *field_notes, *beyond_limits(data)),
-    )
-    return Validation(
-        accuracy, _points(attained, error, size, sd, judged, within, attained.alignment(CALIBRATED, fitted)), summary
-    )
+        raise refuse(f"expected more than 0{most}, found {unit.shown(tolerance):g}", key="tolerance")
 
 
 def stands(attained: Attained, station: Station) -> tuple[np.ndarray, tuple[Alignment, ...]]:
@@ -311,50 +279,177 @@ def of_sessions(attained: Attained, fitted: np.ndarray) -> str:
     return "" if fitted.all() else f" in session {', '.join(names)}"
 
 
-def _motions(attained: Attained, fitted: np.ndarray, frames: tuple[Alignment, ...]) -> list[tuple[float, float]]:
-    """Return mean displacement [m] and rotation [rad] of each fitted frame; of all frames where none is fitted."""
-    asked = fitted if fitted.any() else np.full(len(fitted), bool(frames))
-    alignments = attained.alignment(CALIBRATED, asked)
-    return [
-        (alignments[k].moved(attained.measured[attained.frame == k]), alignments[k].angle)
-        for k in np.flatnonzero(asked)
-    ]
+@dataclass(frozen=True)
+class _Comparison:
+    """Attained points beside each model's, the frames of some sessions being fitted (n_frames,).
+
+    frames: motions of all sessions onto the calibrated robot's points; empty where a session has too few.
+    """
+
+    attained: Attained
+    judged: Judged
+    fitted: np.ndarray
+    frames: tuple[Alignment, ...]
+
+    @cached_property
+    def error(self) -> dict[str, np.ndarray]:
+        """Measured minus expected points (n, 3) of each model, in the unit of measurement."""
+        return {model: self.attained.errors(model, self.fitted) for model in self.attained.expected}
+
+    @cached_property
+    def size(self) -> dict[str, np.ndarray]:
+        """Distances (n,) of each model."""
+        return {model: np.linalg.norm(errors, axis=1) for model, errors in self.error.items()}
+
+    @cached_property
+    def promised(self) -> np.ndarray:
+        """Predicted standard deviation of each point's distance (n,)."""
+        return self.attained.promised(self.fitted)
+
+    @property
+    def freedom_lost(self) -> int:
+        """Degrees of freedom of the fitted frames."""
+        return FREEDOM * int(self.fitted.sum())
+
+    def further(self, model: str) -> Errors:
+        """Return the predictive distribution of further poses' largest errors; a fitted frame counts as a pose less."""
+        size = np.linalg.norm(self.attained.errors_of_further(model, self.fitted), axis=1)
+        return Errors.of(self.attained.by_pose(size, "max"), int(self.fitted.sum()))
+
+    @property
+    def motions(self) -> list[tuple[float, float]]:
+        """Mean displacement [m] and rotation [rad] of each fitted frame; of all frames where none is fitted."""
+        asked = self.fitted if self.fitted.any() else np.full(len(self.fitted), bool(self.frames))
+        alignments = self.attained.alignment(CALIBRATED, asked)
+        return [
+            (alignments[k].moved(self.attained.measured[self.attained.frame == k]), alignments[k].angle)
+            for k in np.flatnonzero(asked)
+        ]
+
+    @cached_property
+    def moved_p(self) -> float | None:
+        """The p-value of the reduction of errors by a rigid motion (F test); None where a frame moved, or cannot be fitted."""
+        if not self.frames or self.fitted.any():
+            return None
+        error = self.error[CALIBRATED]
+        left = np.empty_like(error)
+        for k, frame in enumerate(self.frames):
+            rows = self.attained.frame == k
+            left[rows] = frame.of(self.attained.measured[rows]) - self.attained.expected[CALIBRATED][rows]
+        taken, rest = FREEDOM * len(self.frames), COORDINATES * len(error) - FREEDOM * len(self.frames)
+        squares, remaining = float((error**2).sum()), float((left**2).sum())
+        if rest <= 0 or remaining <= 0:
+            return 1.0
+        return float(scipy.special.fdtrc(taken, rest, max(squares - remaining, 0.0) / taken / (remaining / rest)))
+
+    def statistics(self, model: str) -> ValidatedModel:
+        """Return mean, root mean square and largest error over poses, with the bound of a further pose."""
+        attained, size = self.attained, self.size[model]
+        of_pose = attained.by_pose(size, "mean")
+        n = len(of_pose) - self.freedom_lost / COORDINATES
+        mean, low, high = _interval(of_pose, n)
+        square, least, most = _interval(of_pose**2, n)
+        further = self.further(model).reached_by(CONFIDENCE)
+        figures = (mean, low, high, *np.sqrt((square, least, most)), size.max(), further)
+        names = ("mean", "mean_low", "mean_high", "rms", "rms_low", "rms_high", "max", "further")
+        return ValidatedModel(
+            model=model,  # type: ignore[arg-type]
+            poses=len(of_pose),
+            unit=attained.unit.label,
+            **{name: attained.unit.shown(float(v)) for name, v in zip(names, figures, strict=True)},
+            **{f"{name}_mm": attained.in_mm(v) for name, v in zip(names, figures, strict=True)},
+        )
+
+    def points(self, tolerance: float | None) -> tuple[ValidatedPose, ...]:
+        """Return one row per point."""
+        attained, size, shown, sd = self.attained, self.size, self.attained.unit.shown, self.promised
+        frames, turns = attained.alignment(CALIBRATED, self.fitted), attained.turns
+        turned = turns.errors(CALIBRATED, frames, attained.frame) if turns else None
+        rows = []
+        for k, labels in enumerate(attained.table.to_dict("records")):
+            dx, dy, dz = (attained.in_mm(value) for value in self.error[self.judged][k][:3])
+            rows.append(
+                ValidatedPose(
+                    pose=str(labels["pose"]), marker=str(labels["marker"]), payload=str(labels["payload"]),
+                    session=str(labels.get("session", "")), rows=int(labels["rows"]),
+                    nominal_mm=attained.in_mm(size[NOMINAL][k]), calibrated_mm=attained.in_mm(size[CALIBRATED][k]),
+                    commanded_mm=attained.in_mm(size[COMMANDED][k]) if COMMANDED in size else float("nan"),
+                    promised_mm=attained.in_mm(sd[k]), dx_mm=dx, dy_mm=dy, dz_mm=dz,
+                    rp_mm=attained.in_mm(attained.repeatability[k]),
+                    turn_mrad=float("nan") if turned is None else 1e3 * float(np.linalg.norm(turned[k])),
+                    rp_turn_mrad=1e3 * float(_largest(turns.repeatability[k])) if turns else float("nan"),
+                    within=None if tolerance is None else bool(size[self.judged][k] <= tolerance), unit=attained.unit.label,
+                    nominal=shown(float(size[NOMINAL][k])), calibrated=shown(float(size[CALIBRATED][k])),
+                    judged=shown(float(size[self.judged][k])), promised=shown(float(sd[k])),
+                )
+            )  # fmt: skip
+        return tuple(rows)
+
+    @property
+    def notes(self) -> list[str]:
+        """Notes on assumptions and anomalies."""
+        notes = []
+        if self.fitted.any():
+            notes.append(
+                f"the device stood elsewhere than in the calibration{of_sessions(self.attained, self.fitted)}: its frame was "
+                f"fitted to these points, which took {self.freedom_lost} degrees of freedom; where the robot stands is not judged"
+            )
+        elif self.moved_p is not None and self.moved_p < MOVED_P:
+            notes.append(
+                "a shift and a turn of all points together would remove much of the error: if the robot's foot or the "
+                "device may have moved, --station fitted judges without it"
+            )
+        nominal, calibrated = self.size[NOMINAL].mean(), self.size[CALIBRATED].mean()
+        far = self.attained.unit == METRE and calibrated > ELSEWHERE
+        if far or calibrated > nominal:
+            than = "any calibrated robot" if far else "the nominal one"
+            notes.append(f"the calibrated robot errs by more than {than}: {OF_THE_SAME}")
+        repeated = self.attained.table["rows"].min()
+        if 1 < repeated < CYCLES:
+            notes.append(f"ISO 9283 has each pose attained {CYCLES} times; here the fewest is {repeated}")
+        if repeated > 1:
+            notes.append(
+                "repeats count as the standard's cycles: RP is the robot's only where it came to each pose anew"
+            )
+        return notes
 
 
-def _moved_p(attained: Attained, error: np.ndarray, frames: tuple[Alignment, ...]) -> float:
-    """Return the p-value of the reduction of errors by a rigid motion, where nothing moved (F test)."""
-    left = np.empty_like(error)
-    for k, frame in enumerate(frames):
-        rows = attained.frame == k
-        left[rows] = frame.of(attained.measured[rows]) - attained.expected[CALIBRATED][rows]
-    taken, rest = FREEDOM * len(frames), COORDINATES * len(error) - FREEDOM * len(frames)
-    squares, remaining = float((error**2).sum()), float((left**2).sum())
-    if rest <= 0 or remaining <= 0:
-        return 1.0
-    return float(scipy.special.fdtrc(taken, rest, max(squares - remaining, 0.0) / taken / (remaining / rest)))
+def _summary(
+    compared: _Comparison, noise: float | None, *, rows: int, sent: Sent | None, task: int | None, confidence: float
+) -> ValidationSummary:
+    """Return the summary without a verdict; noise: the device's, of a row, per axis."""
+    attained, fitted = compared.attained, compared.fitted
+    shown, in_mm = attained.unit.shown, attained.in_mm
+    motions, promised = compared.motions, float(np.sqrt(np.mean(compared.promised**2)))
+    first = np.unique(attained.pose, return_index=True)[1]  # point of each pose
+    return ValidationSummary(
+        status="no tolerance", judged=compared.judged, sent=sent, tolerance_mm=None, confidence=confidence,
+        further_within=None, task_poses=task or len(first), task_within=None,
+        decided_by="task" if task else "further pose", poses=len(first), rows=rows, beyond=0,
+        station="fitted" if fitted.any() else "known", frames=int(fitted.sum()), freedom_lost=compared.freedom_lost,
+        moved_mm=max((1e3 * far for far, _ in motions), default=None),
+        turned_mrad=max((1e3 * angle for _, angle in motions), default=None), moved_p=compared.moved_p,
+        noise_mm=None if noise is None else _or_none(in_mm(noise)), promised_mm=in_mm(promised),
+        ap_mm=in_mm(float(compared.size[compared.judged].max())),
+        rp_mm=_or_none(in_mm(_largest(attained.repeatability))), fewest_cycles=int(attained.table["rows"].min()),
+        cube_edge_mm=_or_none(in_mm(cube_edge(attained.expected[CALIBRATED][first]))), unit=attained.unit.label,
+        tolerance=None, noise=None if noise is None else shown(noise), promised=shown(promised),
+    )  # fmt: skip
 
 
-def _further(attained: Attained, model: str, fitted: np.ndarray) -> Errors:
-    """Return the predictive distribution of further poses' largest errors; a fitted frame counts as a pose less."""
-    size = np.linalg.norm(attained.errors_of_further(model, fitted), axis=1)
-    return Errors.of(attained.by_pose(size, "max"), int(fitted.sum()))
-
-
-def _statistics(model: Judged, attained: Attained, size: np.ndarray, lost: int, worst: Errors) -> ValidatedModel:
-    """Return mean, root mean square and largest error over poses, with the bound of a further pose."""
-    of_pose = attained.by_pose(size, "mean")
-    n = len(of_pose) - lost / COORDINATES
-    mean, low, high = _interval(of_pose, n)
-    square, least, most = _interval(of_pose**2, n)
-    figures = (mean, low, high, *np.sqrt((square, least, most)), size.max(), worst.reached_by(CONFIDENCE))
-    names = ("mean", "mean_low", "mean_high", "rms", "rms_low", "rms_high", "max", "further")
-    return ValidatedModel(
-        model=model,
-        poses=len(of_pose),
-        unit=attained.unit.label,
-        **{name: attained.unit.shown(float(v)) for name, v in zip(names, figures, strict=True)},
-        **{f"{name}_mm": attained.in_mm(v) for name, v in zip(names, figures, strict=True)},
-    )
+def _with_verdict(summary: ValidationSummary, compared: _Comparison, tolerance: float) -> ValidationSummary:
+    """Return the summary with the verdict: not met where a pose is beyond, met where the probability is high enough."""
+    attained, size, errors = compared.attained, compared.size[compared.judged], compared.further(compared.judged)
+    beyond = int((size - ONE_SIDED * attained.noise > tolerance).sum())
+    further, whole = (_or_none(errors.within(tolerance, poses)) for poses in (1, summary.task_poses))
+    probability = whole if summary.decided_by == "task" else further
+    sure = probability is not None and probability >= summary.confidence
+    return replace(
+        summary,
+        status="not met" if beyond else "met" if sure and (size <= tolerance).all() else "cannot be told",
+        tolerance_mm=_or_none(attained.in_mm(tolerance)), further_within=further, task_within=whole, beyond=beyond,
+        tolerance=attained.unit.shown(tolerance),
+    )  # fmt: skip
 
 
 def _interval(values: np.ndarray, n: float) -> tuple[float, float, float]:
@@ -364,75 +459,6 @@ def _interval(values: np.ndarray, n: float) -> tuple[float, float, float]:
         return mean, float("nan"), float("nan")
     half = float(scipy.special.stdtrit(n - 1, 0.5 + CONFIDENCE / 2) * values.std(ddof=1) / np.sqrt(n))
     return mean, max(0.0, mean - half), mean + half
-
-
-def _status(within: np.ndarray | None, beyond: int, probability: float | None, confidence: float) -> Status:
-    """Return the verdict: not met where a pose is beyond, met where the probability reaches the confidence."""
-    if within is None:
-        return "no tolerance"
-    if beyond:
-        return "not met"
-    sure = probability is not None and probability >= confidence
-    return "met" if within.all() and sure else "cannot be told"
-
-
-def _points(
-    attained: Attained, error: Mapping[str, np.ndarray], size: Mapping[str, np.ndarray], sd: np.ndarray, judged: Judged,
-    within: np.ndarray | None, frames: tuple[Alignment, ...],
-) -> tuple[ValidatedPose, ...]:  # fmt: skip
-    """Return one row per point."""
-    shown = attained.unit.shown
-    turns = attained.turns
-    turned = turns.errors(CALIBRATED, frames, attained.frame) if turns else None
-    rows = []
-    for k, labels in enumerate(attained.table.to_dict("records")):
-        dx, dy, dz = (attained.in_mm(value) for value in error[judged][k][:3])
-        rows.append(
-            ValidatedPose(
-                pose=str(labels["pose"]), marker=str(labels["marker"]), payload=str(labels["payload"]),
-                session=str(labels.get("session", "")), rows=int(labels["rows"]),
-                nominal_mm=attained.in_mm(size[NOMINAL][k]), calibrated_mm=attained.in_mm(size[CALIBRATED][k]),
-                commanded_mm=attained.in_mm(size[COMMANDED][k]) if COMMANDED in size else float("nan"),
-                promised_mm=attained.in_mm(sd[k]), dx_mm=dx, dy_mm=dy, dz_mm=dz,
-                rp_mm=attained.in_mm(attained.repeatability[k]),
-                turn_mrad=float("nan") if turned is None else 1e3 * float(np.linalg.norm(turned[k])),
-                rp_turn_mrad=1e3 * float(_largest(turns.repeatability[k])) if turns else float("nan"),
-                within=None if within is None else bool(within[k]), unit=attained.unit.label,
-                nominal=shown(float(size[NOMINAL][k])), calibrated=shown(float(size[CALIBRATED][k])),
-                judged=shown(float(size[judged][k])), promised=shown(float(sd[k])),
-            )
-        )  # fmt: skip
-    return tuple(rows)
-
-
-def _places(attained: Attained) -> np.ndarray:
-    """Return one expected position per pose (n_poses, 3) [m]."""
-    return np.asarray(attained.expected[CALIBRATED][np.unique(attained.pose, return_index=True)[1]])
-
-
-def _notes(attained: Attained, size: Mapping[str, np.ndarray], p_moved: float | None, fitted: np.ndarray) -> list[str]:
-    """Return notes on assumptions and anomalies."""
-    notes = []
-    if fitted.any():
-        notes.append(
-            f"the device stood elsewhere than in the calibration{of_sessions(attained, fitted)}: its frame was fitted to these "
-            f"points, which took {FREEDOM * int(fitted.sum())} degrees of freedom; where the robot stands is not judged"
-        )
-    elif p_moved is not None and p_moved < MOVED_P:
-        notes.append(
-            "a shift and a turn of all points together would remove much of the error: if the robot's foot or the "
-            "device may have moved, --station fitted judges without it"
-        )
-    far = attained.unit == METRE and size[CALIBRATED].mean() > ELSEWHERE
-    if far or size[CALIBRATED].mean() > size[NOMINAL].mean():
-        than = "any calibrated robot" if far else "the nominal one"
-        notes.append(f"the calibrated robot errs by more than {than}: {OF_THE_SAME}")
-    repeated = attained.table["rows"].min()
-    if 1 < repeated < CYCLES:
-        notes.append(f"ISO 9283 has each pose attained {CYCLES} times; here the fewest is {repeated}")
-    if repeated > 1:
-        notes.append("repeats count as the standard's cycles: RP is the robot's only where it came to each pose anew")
-    return notes
 
 
 def _largest(values: np.ndarray) -> float:
