@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,11 +12,11 @@ from calflow.files.deferred import pd
 from calflow.files.problems import InputError, Problem, nearest, refuse, refuse_any
 from calflow.files.words import listed, rounded
 from calflow.importing.bag import bag_tables, is_bag
-from calflow.importing.column_choice import ONE_POSE, chosen_columns
+from calflow.importing.column_choice import ONE_POSE, Choice, chosen_columns
 from calflow.importing.column_role import seconds
 from calflow.importing.foreign_table import ForeignTable, foreign_tables
 from calflow.importing.joined_rows import ONLY, Joined, joined_rows
-from calflow.importing.joint_mapping import FACTORS, SCALES, FlangeKinematics, readings_of
+from calflow.importing.joint_mapping import FACTORS, SCALES, FittedReading, FlangeKinematics, readings_of
 from calflow.importing.orientation import infer_orientations
 from calflow.robot.robot import Robot
 
@@ -38,6 +38,14 @@ class ImportProposal:
     table: pd.DataFrame
     origins: tuple[ColumnOrigin, ...]
     notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Imported:
+    """Columns of the measurements, with values of all rows, that have one origin."""
+
+    columns: Mapping[str, object]
+    origin: ColumnOrigin
 
 
 def propose_import(
@@ -150,83 +158,95 @@ def _proposed(joined: Joined, robot: Robot, stated: Mapping[str, str], sigma_rot
     Raises:
         InputError: the columns cannot be determined.
     """
-    markers = _marker(joined, robot)
-    flange, of = FlangeKinematics.of(robot, markers[0]), markers[1]
-    rows = np.full(len(joined), True) if of is None else np.array([name == markers[0] for name in of])
-    choice, computed = chosen_columns(joined, flange, markers[0], rows, stated)
+    marker, markers = _marker(joined, robot)
+    flange = FlangeKinematics.of(robot, marker)
+    rows = np.full(len(joined), True) if markers is None else np.array([name == marker for name in markers])
+    choice, computed = chosen_columns(joined, flange, marker, rows, stated)
+    readings = readings_of(choice.mapping.taken.hypothesis, joined.figures)
+    position = joined.figures[:, choice.points] * SCALES[choice.unit]
+    complete = np.isfinite(readings).all(axis=1) & np.isfinite(position).all(axis=1)
+    parts = [_poses(joined, readings), *_labels(joined, robot, markers), *_conditions(joined)]
+    parts += [*_joints(joined, robot, choice.mapping.taken, readings), *_point(joined, choice, position)]
     notes = [*joined.notes, *computed]
-    points, unit = choice.points, choice.unit
-    figures, taken = joined.figures, choice.mapping.taken
-    readings = readings_of(taken.hypothesis, figures)
-    position = figures[:, points] * SCALES[unit]
-    good = np.isfinite(readings).all(axis=1) & np.isfinite(position).all(axis=1)
-    if not good.all():
-        notes.append(f"{int((~good).sum())} of {len(good)} rows lack joints or a point, and are left out")
-    columns: dict[str, object] = {}
-    origins: list[ColumnOrigin] = []
-    fit = f"the nominal robot is then {rounded(1e3 * taken.error, 2)} mm off (median)"
-    columns["pose"], origin = _poses(joined, readings)
-    origins.append(origin)
-    if of is not None:
-        columns["marker"] = of
-        origins.append(_label_origin(joined, "marker"))
-    if "payload" in joined.roles.labels:
-        names = {name.lower(): name for name in robot.payloads}
-        columns["payload"] = [
-            names[str(cell).lower()] if cell else "" for cell in joined.columns[joined.roles.labels["payload"]].cells
-        ]
-        origins.append(_label_origin(joined, "payload"))
+    if not complete.all():
+        notes.append(f"{int((~complete).sum())} of {len(complete)} rows lack joints or a point, and are left out")
+    notes += _doubts(joined, robot, choice, marker)
+    if joined.roles.turns:
+        parts += _orientations(joined, readings, complete, flange, sigma_rotation, notes)
+    origins = tuple(part.origin for part in parts)
+    notes += _left_out(joined, {origin.theirs for origin in origins})
+    columns = {name: values for part in parts for name, values in part.columns.items()}
+    return ImportProposal(pd.DataFrame(columns)[complete].reset_index(drop=True), origins, tuple(notes))
+
+
+def _labels(joined: Joined, robot: Robot, markers: list[str] | None) -> Iterator[_Imported]:
+    """The marker and the payload of each row, where columns state them."""
+    columns = {name: joined.columns[k] for name, k in joined.roles.labels.items()}
+    payloads = {name.lower(): name for name in robot.payloads}
+    values = {"marker": markers} if markers is not None else {}
+    if "payload" in columns:
+        values["payload"] = [payloads[str(cell).lower()] if cell else "" for cell in columns["payload"].cells]
+    for name, labels in values.items():
+        origin = ColumnOrigin(name, columns[name].title, "as it is", "it holds the robot file's names")
+        yield _Imported({name: labels}, origin)
+
+
+def _conditions(joined: Joined) -> Iterator[_Imported]:
+    """The time and the temperature of each row, where columns state them."""
     if joined.roles.time is not None:
         clock = joined.columns[joined.roles.time]
-        columns["time_s"] = np.round(seconds(clock) - np.nanmin(seconds(clock)), 6)
-        origins.append(
-            ColumnOrigin("time_s", clock.title, "s since the first row", "its name" if clock.name else "it only grows")
-        )
+        time = np.round(seconds(clock) - np.nanmin(seconds(clock)), 6)
+        reason = "its name" if clock.name else "it only grows"
+        yield _Imported({"time_s": time}, ColumnOrigin("time_s", clock.title, "s since the first row", reason))
     if joined.roles.temperature is not None:
         warm = joined.columns[joined.roles.temperature]
-        columns[f"temperature_{'K' if warm.unit == 'K' else 'degC'}"] = warm.figures
-        origins.append(ColumnOrigin("temperature", warm.title, "as it is", "its name and unit"))
+        origin = ColumnOrigin("temperature", warm.title, "as it is", "its name and unit")
+        yield _Imported({f"temperature_{'K' if warm.unit == 'K' else 'degC'}": warm.figures}, origin)
+
+
+def _joints(joined: Joined, robot: Robot, taken: FittedReading, readings: np.ndarray) -> Iterator[_Imported]:
+    """The readings (n_rows, n) [rad or m] of the driven joints."""
+    named, chosen = joined.roles.joints, taken.hypothesis
+    first = "stated" if ("stated",) in named else "its name" if named else "by the robot's kinematics"
     for k, i in enumerate(robot.driven):
         shown, factor = robot.joints[i].shown
-        column, sign = joined.columns[taken.hypothesis.columns[k]], taken.hypothesis.signs[k]
-        name = f"q{i + 1}_{shown}"
-        columns[name] = readings[:, k] * factor
-        changed = [*(["sign turned"] if sign < 0 else []), *_from_unit(taken.hypothesis.factors[k], shown)]
-        why = "stated" if ("stated",) in joined.roles.joints else "its name"
-        if not joined.roles.joints:
-            why = "so too" if k else "by the robot's kinematics"
-        reason = why if k else f"{why}; {fit}"
-        if sign < 0:
+        turned = chosen.signs[k] < 0
+        changed = [*(["sign turned"] if turned else []), *_from_unit(chosen.factors[k], shown)]
+        reason = first if named else "so too"
+        if turned:
             reason = "with its sign turned the robot fits, else it does not"
-        origins.append(ColumnOrigin(name, column.title, ", ".join(changed) or "as it is", reason))
-    for axis, k in zip("xyz", points, strict=True):
-        stated_unit = joined.columns[k].unit
-        why = "its name" if joined.roles.points and choice.group != ONLY else "the only three that fit"
-        why = "stated" if choice.group == ("stated",) else why
-        why = f"{why}, unit by the robot's size" if not stated_unit else why
-        columns[f"{axis}_mm"] = 1e3 * position[:, "xyz".index(axis)]
-        origins.append(
-            ColumnOrigin(f"{axis}_mm", joined.columns[k].title, "as it is" if unit == "mm" else f"from {unit}", why)
-        )
+        elif k == 0:
+            reason = f"{first}; the nominal robot is then {rounded(1e3 * taken.error, 2)} mm off (median)"
+        name, theirs = f"q{i + 1}_{shown}", joined.columns[chosen.columns[k]].title
+        origin = ColumnOrigin(name, theirs, ", ".join(changed) or "as it is", reason)
+        yield _Imported({name: readings[:, k] * factor}, origin)
+
+
+def _point(joined: Joined, choice: Choice, position: np.ndarray) -> Iterator[_Imported]:
+    """The coordinates of the measured point (n_rows, 3) [m]."""
+    named = joined.roles.points and choice.group != ONLY
+    why = "stated" if choice.group == ("stated",) else "its name" if named else "the only three that fit"
+    for axis, k, values in zip("xyz", choice.points, position.T, strict=True):
+        column, name = joined.columns[k], f"{axis}_mm"
+        reason = why if column.unit else f"{why}, unit by the robot's size"
+        how = "as it is" if choice.unit == "mm" else f"from {choice.unit}"
+        yield _Imported({name: 1e3 * values}, ColumnOrigin(name, column.title, how, reason))
+
+
+def _doubts(joined: Joined, robot: Robot, choice: Choice, name: str) -> Iterator[str]:
+    """Notes on the points' scale, a marker that is not at its place, and signs that cannot be told."""
+    taken, marker = choice.mapping.taken, robot.markers[name]
     if abs(taken.scale - 1) > 0.02:
-        notes.append(f"the points are {rounded(taken.scale)} times as far apart as the robot's: is their unit {unit}?")
-    placed = np.array(robot.markers[markers[0]].point)
-    if robot.markers[markers[0]].known and np.linalg.norm(taken.marker - placed) > 0.02:
+        yield f"the points are {rounded(taken.scale)} times as far apart as the robot's: is their unit {choice.unit}?"
+    if marker.known and np.linalg.norm(taken.marker - np.array(marker.point)) > 0.02:
         place = ", ".join(f"{1e3 * v:.0f}" for v in taken.marker)
-        notes.append(
-            f"marker '{markers[0]}' is near ({place}) mm by these points, and elsewhere in the robot file: known = false there lets"
+        yield (
+            f"marker '{name}' is near ({place}) mm by these points, and elsewhere in the robot file: known = false there lets"
             " the poses say where"
         )
     if choice.mapping.untold and ("stated",) not in joined.roles.joints:
         each = [" with ".join(f"q{robot.driven[k] + 1}" for k in joints) for joints in choice.mapping.untold]
-        notes.append(f"the sign of {', and of '.join(each)} cannot be told: the points fit as well with it turned")
-    if joined.roles.turns:
-        turned, sources = _orientations(joined, readings, good, flange, sigma_rotation, notes)
-        columns |= turned
-        origins += sources
-    notes += _left_out(joined, {origin.theirs for origin in origins})
-    table = pd.DataFrame(columns)[good].reset_index(drop=True)
-    return ImportProposal(table, tuple(origins), tuple(notes))
+        yield f"the sign of {', and of '.join(each)} cannot be told: the points fit as well with it turned"
 
 
 def _left_out(joined: Joined, taken: Collection[str]) -> list[str]:
@@ -248,14 +268,14 @@ def _orientations(
     flange: FlangeKinematics,
     sigma: float | None,
     notes: list[str],
-) -> tuple[dict[str, np.ndarray], list[ColumnOrigin]]:
+) -> list[_Imported]:
     """The columns of measured orientations if convention, tool and standard deviation are known, else a note."""
     members = next(iter(joined.roles.turns.values()))
     rows = tuple(replace(column, figures=column.figures[good]) for column in joined.columns)
     orientations = infer_orientations(rows, members, flange.at(readings[good])[1])
     if orientations is None:
         notes.append("orientations are left out: in no convention do they turn as the robot does")
-        return {}, []
+        return []
     if flange.robot.tool_rotation is None or sigma is None:
         tool = ", ".join(f"{np.rad2deg(angle):.1f}" for angle in orientations.tool)
         wanted = [
@@ -263,7 +283,7 @@ def _orientations(
             *(["--sigma-rotation-mrad"] if sigma is None else []),
         ]
         notes.append(f"orientations ({orientations.convention}) are left out: with {' and '.join(wanted)} they come in")
-        return {}, []
+        return []
     parts = np.full((len(good), 4), np.nan)
     parts[good] = orientations.turns.as_quat(canonical=True, scalar_first=True)
     theirs = ", ".join(joined.columns[k].title for k in orientations.columns)
@@ -272,7 +292,9 @@ def _orientations(
     )
     stated = ColumnOrigin("sigma_rotation_mrad", "", f"{1e3 * sigma:g}", "stated")
     quaternion = dict(zip(("qw", "qx", "qy", "qz"), parts.T, strict=True))
-    return {**quaternion, "sigma_rotation_mrad": np.full(len(good), 1e3 * sigma)}, [origin, stated]
+    return [
+        _Imported(quaternion, origin), _Imported({"sigma_rotation_mrad": np.full(len(good), 1e3 * sigma)}, stated)
+    ]  # fmt: skip
 
 
 def _from_unit(factor: float, shown: str) -> list[str]:
@@ -284,13 +306,7 @@ def _from_unit(factor: float, shown: str) -> list[str]:
     return [] if unit == shown else [f"from {unit}"]
 
 
-def _label_origin(joined: Joined, label: str) -> ColumnOrigin:
-    return ColumnOrigin(
-        label, joined.columns[joined.roles.labels[label]].title, "as it is", "it holds the robot file's names"
-    )
-
-
-def _poses(joined: Joined, readings: np.ndarray) -> tuple[list[str], ColumnOrigin]:
+def _poses(joined: Joined, readings: np.ndarray) -> _Imported:
     """The pose of each row: from a column that agrees with the readings, else by groups of nearly equal readings."""
     numbers = _clusters(readings)
     if "pose" in joined.roles.labels:
@@ -298,11 +314,10 @@ def _poses(joined: Joined, readings: np.ndarray) -> tuple[list[str], ColumnOrigi
         names = [f"{v:g}" for v in column.figures] if column.is_figures else [str(cell) for cell in column.cells]
         pairs = set(zip(names, numbers, strict=True))
         if all(names) and len(pairs) == len(set(names)) == len(set(numbers)):
-            return names, ColumnOrigin("pose", column.title, "as it is", "its name, and rows of one have equal joints")
-    count = len(set(numbers))
-    return [str(k) for k in numbers], ColumnOrigin(
-        "pose", "", "numbered", f"rows of equal joints are one pose: {count}"
-    )
+            origin = ColumnOrigin("pose", column.title, "as it is", "its name, and rows of one have equal joints")
+            return _Imported({"pose": names}, origin)
+    origin = ColumnOrigin("pose", "", "numbered", f"rows of equal joints are one pose: {len(set(numbers))}")
+    return _Imported({"pose": [str(k) for k in numbers]}, origin)
 
 
 def _clusters(readings: np.ndarray) -> list[int]:
