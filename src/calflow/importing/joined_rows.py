@@ -68,31 +68,33 @@ def joined_rows(
     for table, own in each:
         if _has_joints(own, table, n) and _has_points(own, table, n):
             yield Joined(table.title, table.columns, own, table.reasons)
-    apart = [
-        (a, b) if _has_joints(a[1], a[0], n) and _has_points(b[1], b[0], 0) else (b, a)
-        for a, b in combinations(each, 2)
-        if (_has_joints(a[1], a[0], n) and _has_points(b[1], b[0], 0))
-        or (_has_joints(b[1], b[0], n) and _has_points(a[1], a[0], 0))
-    ]
+
+    def apart_in(joints: tuple[ForeignTable, Roles], points: tuple[ForeignTable, Roles]) -> bool:
+        return _has_joints(joints[1], joints[0], n) and _has_points(points[1], points[0], 0)
+
+    ordered = ((a, b) if apart_in(a, b) else (b, a) for a, b in combinations(each, 2))
+    apart = [pair for pair in ordered if apart_in(*pair)]
     for joints, points in apart:
         try:
             yield _side_by_side(joints, points, robot)
         except InputError as error:
             problems += error.problems
     if not apart and not problems:
-        for table, own in each:
-            titles = ", ".join(f"'{truncated(column.title)}'" for column in table.columns[:12])
-            with_joints, with_points = _has_joints(own, table, n), _has_points(own, table, n)
-            what = [f"{n} columns of joints"] * (not with_joints) + ["x, y and z of a measured point"] * (
-                not with_points
-            )
-            options = ["--column q1_deg=NAME"] * (with_points or not with_joints)
-            options += ["--column x_mm=NAME --column y_mm=NAME --column z_mm=NAME"] * (with_joints or not with_points)
-            part = f"{table.part}: " if table.part else ""
-            problems.append(
-                Problem(f"{part}cannot tell {' or '.join(what) or 'what it holds'} among its columns {titles}; "
-                        f"name them: {' '.join(options)} …", table.path)
-            )  # fmt: skip
+        problems += [_untold(table, own, n) for table, own in each]
+
+
+def _untold(table: ForeignTable, own: Roles, n: int) -> Problem:
+    """The problem of a table that has not both n columns of joints and a point: what cannot be told, and how to name it."""
+    titles = ", ".join(f"'{truncated(column.title)}'" for column in table.columns[:12])
+    joints, points = _has_joints(own, table, n), _has_points(own, table, n)
+    what = [f"{n} columns of joints"] * (not joints) + ["x, y and z of a measured point"] * (not points)
+    options = ["--column q1_deg=NAME"] * (points or not joints)
+    options += ["--column x_mm=NAME --column y_mm=NAME --column z_mm=NAME"] * (joints or not points)
+    part = f"{table.part}: " if table.part else ""
+    return Problem(
+        f"{part}cannot tell {' or '.join(what) or 'what it holds'} among its columns {titles}; "
+        f"name them: {' '.join(options)} …", table.path,
+    )  # fmt: skip
 
 
 def _with_stated(table: ForeignTable, roles: Roles, stated: Mapping[str, str]) -> Roles:
