@@ -176,24 +176,19 @@ def _table(path: Path, part: str, rows: Sequence[Sequence[str]], reasons: tuple[
         return None
     of_figures = counts >= max(FEWEST_FIGURES, usual[0][0] / 2)
     first = int(np.argmax(of_figures))
-    used = [k for k in range(wide) if any(row[k] for row, good in zip(cells, of_figures, strict=True) if good)]
-    names, header = _names(cells, first, used)
     body = [k for k in range(first, len(cells)) if of_figures[k]]
     left = [k + 1 for k in range(first, len(cells)) if not of_figures[k] and any(cells[k])]
+    used = [k for k in range(wide) if any(cells[line][k] for line in body)]
+    names, header = _names(cells, first, used)
     texts = {k: [cells[line][k] for line in body] for k in used}
     decimal = _decimal([cell for column in texts.values() for cell in column])
     columns = tuple(_column(name, texts[k], decimal) for name, k in zip(names, used, strict=True))
-    reasons = (
-        *reasons,
-        f"names in line {header + 1}" if header is not None else "no line of names",
-        *(("decimal commas",) if decimal == "," else ()),
-        *(
-            (f"{len(left)} lines without figures left out (line {left[0]}{' …' if len(left) > 1 else ''})",)
-            if left
-            else ()
-        ),
-    )
-    return ForeignTable(path, part, columns, header is not None, reasons)
+    how = ["no line of names" if header is None else f"names in line {header + 1}"]
+    if decimal == ",":
+        how.append("decimal commas")
+    if left:
+        how.append(f"{len(left)} lines without figures left out (line {left[0]}{' …' if len(left) > 1 else ''})")
+    return ForeignTable(path, part, columns, header is not None, (*reasons, *how))
 
 
 def _is_figure(cell: str) -> bool:
@@ -209,18 +204,17 @@ def _names(cells: Sequence[Sequence[str]], first: int, used: Sequence[int]) -> t
     """The names of columns, with units of a separate line and headings that span columns, and their line's index."""
     above = list(takewhile(lambda k: any(cells[k]), range(first - 1, -1, -1)))
     headers = [[cells[k][column] for column in used] for k in above]
-    if headers and headers[0][0].startswith(("#", "%", "//")):
-        bare = " ".join(cells[above[0]]).lstrip("#%/ ").split()
-        headers[0] = bare if len(bare) == len(used) else [headers[0][0].lstrip("#%/ "), *headers[0][1:]]
+    if headers:
+        headers[0] = _uncommented(headers[0], cells[above[0]])
     full = [sum(map(bool, row)) >= 0.6 * len(used) for row in headers]
-    if not full or not any(full[:2]):
+    if not any(full[:2]):
         return [f"column {k + 1}" for k in used], None
-    units = [""] * len(used)
-    at = full.index(True)
+    units, at = [""] * len(used), full.index(True)
     if _all_units(headers[at]) and any(full[at + 1 : at + 2]):
         units, at = headers[at], at + 1
     names = [truncated(name) for name in headers[at]]
-    if at + 1 < len(headers) and len(set(filter(None, names))) < len(list(filter(None, names))):
+    stated = [*filter(None, names)]
+    if at + 1 < len(headers) and len(set(stated)) < len(stated):
         over = pd.Series([cell or None for cell in headers[at + 1]], dtype=object).ffill().fillna("")
         names = [f"{group} {name}".strip() for group, name in zip(over, names, strict=True)]
     names = [
@@ -229,6 +223,14 @@ def _names(cells: Sequence[Sequence[str]], first: int, used: Sequence[int]) -> t
     ]
     names = [name or f"column {k + 1}" for name, k in zip(names, used, strict=True)]
     return Dialect(header=tuple(names)).names(names), above[at]
+
+
+def _uncommented(header: list[str], line: Sequence[str]) -> list[str]:
+    """The header in a line without a comment mark before it; divided at blanks if that gives as many names."""
+    if not header[0].startswith(("#", "%", "//")):
+        return header
+    bare = " ".join(line).lstrip("#%/ ").split()
+    return bare if len(bare) == len(header) else [header[0].lstrip("#%/ "), *header[1:]]
 
 
 def _all_units(cells: Sequence[str]) -> bool:
