@@ -192,20 +192,11 @@ def _checked_shape(text: str, path: Path, dialect: Dialect, named: Collection[st
     Rows may end after the last column that is read.
     """
     lines = csv_lines(text, dialect.separator)
-    there: list[str] = []
-    for _ in range(dialect.header_line):
-        there = next(lines, [])
-    first = lines.line_num
-    if dialect.header_line and first < dialect.header_line:
-        raise refuse(
-            EMPTY if first <= 1 else f"has {first} lines: expected the header in line {dialect.header_line}", path
-        )
-    if len(there) == 1 and not dialect.header:
-        _check_separator(path, there[0], dialect)
+    there = _header_cells(lines, path, dialect)
     names = dialect.names(there)
     fewer, more, widest = [], [], len(names)
     least = max((k for k, name in enumerate(names, start=1) if name in (named or names)), default=0)
-    for line, cells in enumerate(lines, start=first + 1):
+    for line, cells in enumerate(lines, start=lines.line_num + 1):
         if lines.line_num != line:
             raise refuse('a quote " is opened here, and closed in another line: expected a line a row', path, line)
         if any(cell.strip() for cell in cells[len(names) :]):
@@ -223,6 +214,19 @@ def _checked_shape(text: str, path: Path, dialect: Dialect, named: Collection[st
         problems += at_rows(np.full(len(wrong), True), pd.DataFrame({"line": wrong}), path, message)
     refuse_any(problems)
     return names, widest
+
+
+def _header_cells(lines: Any, path: Path, dialect: Dialect) -> list[str]:
+    """Return the cells of the header line, the last that is read of a file's lines; none without one."""
+    there: list[str] = []
+    for _ in range(dialect.header_line):
+        there = next(lines, [])
+    found, wanted = lines.line_num, dialect.header_line
+    if found < wanted:
+        raise refuse(EMPTY if found <= 1 else f"has {found} lines: expected the header in line {wanted}", path)
+    if len(there) == 1 and not dialect.header:
+        _check_separator(path, there[0], dialect)
+    return there
 
 
 def _is_number(cell: str) -> bool:
