@@ -206,23 +206,21 @@ def check_header(columns: Sequence[ReadColumn], layout: Layout, robot: Robot, co
         columns_of = {column.name: column for column in columns if column.marker in ("", marker)}
         missing += _missing(columns_of, marker, layout, robot, conditions_only)
     names = {column.name: column for column in columns}
-    oriented = not conditions_only and layout.reports.measured and bool({"rx", "qw"} & set(names))
-    messages = []
-    for name, stated in (("sigma", layout.sigma), ("sigma_rotation", layout.sigma_rotation)):
-        if stated is not None and name in names:
-            messages.append(f"{names[name]}: the study's [measurements] states {name} too; expected one of them")
-    if oriented and robot.tool_rotation is None:
-        messages.append(
-            "has measured orientations, but the robot file does not say how the tool is turned: expected "
-            "tool_rotation_deg (or _rad) = [rx, ry, rz] there"
-        )
-    if oriented and layout.sigma_rotation is None and "sigma_rotation" not in names:
-        messages.append(
-            "has measured orientations, but not how sure they are: expected a column sigma_rotation_mrad (or _rad, "
-            "_deg), or sigma_rotation_mrad = … in the study's [measurements]"
-        )
-    if "rx" in names and "qw" in names:
-        messages.append("has orientations twice, as rx, ry, rz and as a quaternion: expected one of them")
+    twice = [
+        f"{names[name]}: the study's [measurements] states {name} too; expected one of them"
+        for name, stated in (("sigma", layout.sigma), ("sigma_rotation", layout.sigma_rotation))
+        if stated is not None and name in names
+    ]
+    oriented = not conditions_only and layout.reports.measured and bool({"rx", "qw"} & names.keys())
+    unsure = layout.sigma_rotation is None and "sigma_rotation" not in names
+    of_orientations = {
+        "has measured orientations, but the robot file does not say how the tool is turned: expected "
+        "tool_rotation_deg (or _rad) = [rx, ry, rz] there": oriented and robot.tool_rotation is None,
+        "has measured orientations, but not how sure they are: expected a column sigma_rotation_mrad (or _rad, "
+        "_deg), or sigma_rotation_mrad = … in the study's [measurements]": oriented and unsure,
+        "has orientations twice, as rx, ry, rz and as a quaternion: expected one of them": {"rx", "qw"} <= names.keys(),
+    }
+    messages = (*twice, *(message for message, applies in of_orientations.items() if applies))
     return list(dict.fromkeys((*unknown, *missing, *messages)))
 
 
