@@ -144,31 +144,36 @@ def plan(study: Study, folder: Path, only: str | None = None, force: bool = Fals
         raise refuse("is a file; expected a run folder, which may not exist yet", folder)
     manifest = read_manifest(folder)
     before = manifest.stages if manifest else {}
-    ran = [name for name, entry in before.items() if entry.status == "done"] if only else []
-    stages, bases = stages_of(study, ran), based(study, ran)
-    wanted = [stage.name for stage in stages]
-    if only is not None:
-        if only not in bases:
-            raise refuse(f"unknown stage '{only}'; there are {', '.join(bases)}{nearest(only, bases)}")
-        wanted = _with_needs(only, bases)
-        early = [bases[name] for name in wanted if bases[name] not in stages and name != only]
-        stages = list(dict.fromkeys((*early, *stages, bases[only])))
+    stages, optional = _planned_stages(study, before, only)
     if manifest:
         check_same_study(study, folder, manifest)
     common = common_key(study)
     steps: list[PlannedStage] = []
     for stage in stages:
-        used = only is not None and stage.name in bases[only].uses and stage.name in before
-        if stage.name not in wanted and not used:
-            continue
         key = stage_key(study, stage, common, {step.stage.name: step.key for step in steps})
-        forced = force and (only is None or stage.name == only)
+        forced = force and only in (None, stage.name)
         run_again = [step.stage.name for step in steps if not step.reuse]
         why = FORCED if forced else reason(before.get(stage.name), key, folder, run_again)
-        if used and why and stage.name not in wanted:
-            continue  # an optional upstream stage that is out of date is not run for a single stage
-        steps.append(PlannedStage(stage, why is None, why or UNCHANGED, key))
+        if not (why and stage.name in optional):
+            steps.append(PlannedStage(stage, why is None, why or UNCHANGED, key))
     return steps
+
+
+def _planned_stages(
+    study: Study, before: Mapping[str, StageEntry], only: str | None
+) -> tuple[list[Stage], frozenset[str]]:
+    """Return the stages of a plan in order, and the names of those that a single stage takes only where up to date."""
+    if only is None:
+        return stages_of(study), frozenset()
+    ran = [name for name, entry in before.items() if entry.status == "done"]
+    stages, bases = stages_of(study, ran), based(study, ran)
+    if only not in bases:
+        raise refuse(f"unknown stage '{only}'; there are {', '.join(bases)}{nearest(only, bases)}")
+    needed = _with_needs(only, bases)
+    optional = {*bases[only].uses} & {*before} - {*needed}
+    early = [bases[name] for name in needed if bases[name] not in stages and name != only]
+    every = dict.fromkeys((*early, *stages, bases[only]))
+    return [stage for stage in every if stage.name in optional.union(needed)], frozenset(optional)
 
 
 def foreseen(study: Study, stages: Iterable[Stage]) -> dict[str, Demand]:
