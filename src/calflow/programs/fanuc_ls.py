@@ -187,35 +187,40 @@ def _group(group: Node, name: str, line: int) -> Target | Skipped:
         if not index.text.isdigit() and index.text != "F":  # F: the frame or tool in force
             raise refusal(f"expected the number of {what}, found '{index.text}'", index.line)
     configuration = _configuration(name, quoted) if quoted else None
-    given: dict[str, Number | None] = {}
-    units: dict[str, str] = {}
-    for component, value, unit in (coordinate.items for coordinate in coordinates):
-        known = component.text in (*COMPONENTS, *REMOTE) if configuration else re.fullmatch(r"J[1-9]", component.text)
-        if not known and re.fullmatch(r"E[1-9]", component.text) is None:
-            expected = ", ".join(COMPONENTS) if configuration else "J1, J2, …"
-            raise refusal(f"{name}: expected {expected} or E1, …, found '{component.text}'", component.line)
-        if component.text in given:
-            raise refusal(f"{name}: {component.text} is given twice", component.line)
-        units[component.text] = unit.text
-        taught = not value.text.startswith("*")
-        given[component.text] = Number(value.start, value.end, value.text, UNITS[unit.text]) if taught else None
-    names, last = [name for name in given if name[0] != "E"], coordinates[-1].line
-    remote = names[0] in REMOTE if names else False
-    wanted = list(REMOTE if remote else COMPONENTS) if configuration else [f"J{k}" for k in range(1, len(names) + 1)]
-    if names != wanted:
-        raise refusal(f"{name}: expected {', '.join(wanted)} in this order, found {', '.join(names)}", last)
-    if configuration and [units[name] for name in names] != ["mm"] * 3 + ["deg"] * 3:
-        raise refusal(f"{name}: expected X, Y and Z in mm and W, P and R in deg", last)
-    numbers = [given[name] for name in names]
-    taught_numbers = tuple(number for number in numbers if number is not None)
-    if len(taught_numbers) < len(numbers):
+    given = _coordinates(name, coordinates, configuration is not None)
+    pose = {key: number for key, number in given.items() if key[0] != "E"}
+    remote = next(iter(pose), "") in REMOTE
+    joints = [f"J{k}" for k in range(1, len(pose) + 1)]
+    wanted = joints if configuration is None else list(REMOTE if remote else COMPONENTS)
+    if [*pose] != wanted:
+        expected, found = ", ".join(wanted), ", ".join(pose)
+        raise refusal(f"{name}: expected {expected} in this order, found {found}", coordinates[-1].line)
+    if configuration and [number.scale for number in pose.values()] != [UNITS["mm"]] * 3 + [UNITS["deg"]] * 3:
+        raise refusal(f"{name}: expected X, Y and Z in mm and W, P and R in deg", coordinates[-1].line)
+    if any(number.text.startswith("*") for number in pose.values()):
         return Skipped(name, line, "never taught", "was never taught")
     if remote:
         return Skipped(name, line, "standing tool", "is of a stationary tool")
-    axes = {int(name[1:]): number for name, number in given.items() if name[0] == "E"}
-    external = {k: External(float(number.text), units[f"E{k}"]) for k, number in axes.items() if number is not None}
+    external = {
+        int(key[1:]): External(number.written, "mm" if number.scale == UNITS["mm"] else "deg")
+        for key, number in given.items()
+        if key not in pose and not number.text.startswith("*")
+    }
     turn: Turn | None = "xyz" if configuration else None
-    return Target(name, line, taught_numbers, turn, configuration, (Use(tool.text, frame.text),), external)
+    return Target(name, line, tuple(pose.values()), turn, configuration, (Use(tool.text, frame.text),), external)
+
+
+def _coordinates(name: str, nodes: Sequence[Node], cartesian: bool) -> dict[str, Number]:
+    """Return the coordinates of a position by name, among them those of external axes, E1, …"""
+    own, expected = (r"R?[XYZWPR]", ", ".join(COMPONENTS)) if cartesian else (r"J[1-9]", "J1, J2, …")
+    given: dict[str, Number] = {}
+    for component, value, unit in (node.items for node in nodes):
+        if re.fullmatch(rf"{own}|E[1-9]", component.text) is None:
+            raise refusal(f"{name}: expected {expected} or E1, …, found '{component.text}'", component.line)
+        if component.text in given:
+            raise refusal(f"{name}: {component.text} is given twice", component.line)
+        given[component.text] = Number(value.start, value.end, value.text, UNITS[unit.text])
+    return given
 
 
 def _configuration(name: str, token: Node) -> FanucConfiguration:
