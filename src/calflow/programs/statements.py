@@ -311,40 +311,42 @@ class Statements(ABC):
 
     def linked(self, used: Mapping[tuple[str, str], Sequence[Use]], known: Collection[tuple[str, str]]) -> Program:
         """Return the program: targets with their uses in all files, and what is skipped and why."""
-        targets, skipped = [], list(self.skipped)
-        keys = Counter(self.key(target.name) for target in self.targets)
-        for target in self.targets:
-            key, start = self.key(target.name), target.numbers[0].start
-            owner = self.scope.owner(key)
-            moves = [use for name in dict.fromkeys((key, without_indices(key))) for use in used.get((owner, name), ())]
-            uses = (*target.uses, *moves) if target.turn else ()
-            if default := self.defaults.get(start) if target.turn else None:
-                uses = tuple(
-                    replace(use, tool=use.tool or default.tool, frame=use.frame or default.frame)
-                    for use in uses or (default,)
-                )
-            if any(use.tool == STATIONARY for use in uses):
-                skipped.append(Skipped(target.name, target.line, "standing tool", "is of a stationary tool"))
-            elif (unused := self.if_unused.get(start)) and not moves:
-                skipped.append(unused)
-            else:
-                declared = target.declared if keys[key] == 1 else None
-                targets.append(replace(target, uses=uses, declared=declared))
+        count = Counter(self.key(target.name) for target in self.targets)
+        resolved = [self.resolved(target, used, count[self.key(target.name)] == 1) for target in self.targets]
+        targets = sorted((e for e in resolved if isinstance(e, Target)), key=lambda target: target.numbers[0].start)
+        skipped = [*self.skipped, *(entry for entry in resolved if isinstance(entry, Skipped))]
         skipped += [entry for name, entry in self.undeclared.items() if (self.scope.owner(name), name) not in known]
-        places = {number.start for target in self.targets for number in target.numbers}
-        lines = {entry.line for entry in skipped}
-        where = "stands in an expression: its pose is unknown"
-        skipped += [
-            Skipped(f"target in line {literal.line}", literal.line, "computed", where)
-            for literal in self.literals
-            if literal.line not in lines
-            and not any(part.start in places for part in literal.walk() if part.kind == "number")
-        ]
-        targets.sort(key=lambda target: target.numbers[0].start)
+        skipped += self.unread_literals({entry.line for entry in skipped})
         skipped.sort(key=lambda entry: entry.line)
-        written = tuple(replace(target, name=_as_written(target.name)) for target in targets)
         unread = tuple(replace(entry, name=_as_written(entry.name)) for entry in skipped)
-        return Program(self.maker, self.source, written, unread, file=self.file)
+        return Program(self.maker, self.source, tuple(targets), unread, file=self.file)
+
+    def resolved(self, target: Target, used: Mapping[tuple[str, str], Sequence[Use]], alone: bool) -> Target | Skipped:
+        """Return a target with its uses in all files, or why it is skipped; alone: no other has its name."""
+        key, start = self.key(target.name), target.numbers[0].start
+        owner = self.scope.owner(key)
+        moves = [use for name in dict.fromkeys((key, without_indices(key))) for use in used.get((owner, name), ())]
+        uses = (*target.uses, *moves) if target.turn else ()
+        if default := self.defaults.get(start) if target.turn else None:
+            uses = tuple(
+                replace(use, tool=use.tool or default.tool, frame=use.frame or default.frame)
+                for use in uses or (default,)
+            )
+        if any(use.tool == STATIONARY for use in uses):
+            return Skipped(target.name, target.line, "standing tool", "is of a stationary tool")
+        declared, name = target.declared if alone else None, _as_written(target.name)
+        unused = None if moves else self.if_unused.get(start)
+        return unused or replace(target, name=name, uses=uses, declared=declared)
+
+    def unread_literals(self, lines: Collection[int]) -> list[Skipped]:
+        """Return the literals that are no target, except in lines that something else is said of."""
+        places = {number.start for target in self.targets for number in target.numbers}
+        where = "stands in an expression: its pose is unknown"
+        return [
+            Skipped(f"target in line {node.line}", node.line, "computed", where)
+            for node in self.literals
+            if node.line not in lines and not any(part.start in places for part in node.walk() if part.kind == "number")
+        ]
 
 
 def _as_written(name: str) -> str:
