@@ -6,9 +6,11 @@ Tools and frames that the program does not define are given in the maker's notat
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -25,7 +27,7 @@ from calflow.programs.backup import is_backup, read_files
 from calflow.programs.calibrated_robot import CalibratedRobot
 from calflow.programs.correction import Filtered, filtered, skipped_row
 from calflow.programs.formats import parsed, read_project
-from calflow.programs.target import Maker, Skipped
+from calflow.programs.target import Maker, Program
 from calflow.robot.robot import Robot
 
 COUPLED = (
@@ -124,11 +126,8 @@ def filter_program(
         InputError: the program cannot be read, or a tool, frame, payload or condition is unknown.
     """
     path, robot = Path(program), calibrated.model.robot
-    files, unread = read_files(path), list[tuple[str, Skipped]]()
-    if is_backup(path):
-        programs, unread = read_project(files, path)
-    else:
-        programs = [parsed(files[path.name], path)]
+    files = read_files(path)
+    programs, unread = read_project(files, path) if is_backup(path) else ([parsed(files[path.name], path)], [])
     maker = programs[0].maker
     if in_order and sum(bool(program.targets) for program in programs) > 1:
         raise refuse("the order of targets is that of one program, found several", key="--in-order")
@@ -146,40 +145,42 @@ def filter_program(
         any_configuration=any_configuration,
         **placed,
     )
-    stated = _conditions(conditions or {})
+    stated: dict[str, Any] = _conditions(conditions or {})
     given = (*stated, *(("approach", "travel") if in_order else ()))
     if missing == "refuse":
         check_stated(calibrated.needed, given, GO_ON)
     if unknown := unknown_name("payload", payload or "", robot.payloads):
         raise refuse(unknown, key="--payload")
-    origin = {"time_origin": calibrated.time_origin} if "time" in stated else {}
-    carried = {} if payload is None else {"payload": payload}
-
-    def rows(readings: np.ndarray) -> Measurements:
-        return Measurements.from_arrays(
-            robot, readings, None, pose=np.arange(len(readings)), **carried, **origin, **stated  # type: ignore[arg-type]
-        )  # fmt: skip
-
-    corrector = CalibratedRobot(
-        replace(calibrated, model=replace(calibrated.model, given=given)), rows, in_order, missing
-    )
-    root = path if is_backup(path) else path.parent
+    if "time" in stated:
+        stated["time_origin"] = calibrated.time_origin
+    if payload is not None:
+        stated["payload"] = payload
+    model = replace(calibrated.model, given=given)
+    corrector = CalibratedRobot(replace(calibrated, model=model), partial(_rows, robot, stated), in_order, missing)
     try:
         done = filtered(programs, corrector, choices)
     except InputError as error:
-        problems = (
-            replace(problem, file=root / problem.file) if problem.file else problem for problem in error.problems
-        )
-        raise InputError(problems) from None
-    loads = robot.payloads if payload is None else ()
-    empty = [f"no --payload: the robot is taken to carry none of {', '.join(loads)}"] if loads else []
+        root = path if is_backup(path) else path.parent
+        raise InputError(
+            replace(problem, file=problem.file and root / problem.file) for problem in error.problems
+        ) from None
+    notes = (*_assumptions(programs, robot, payload), *done.notes)
+    rows = (*(skipped_row(file, entry) for file, entry in unread), *done.rows)
+    return replace(done, files={**files, **done.files}, rows=rows, notes=notes)
+
+
+def _rows(robot: Robot, stated: Mapping[str, Any], readings: np.ndarray) -> Measurements:
+    """Return rows to be predicted at readings (n, n_joints), each a pose, under the same conditions."""
+    return Measurements.from_arrays(robot, readings, None, pose=np.arange(len(readings)), **stated)
+
+
+def _assumptions(programs: Sequence[Program], robot: Robot, payload: str | None) -> Iterator[str]:
+    """Notes on a payload that is not stated, and on a coupling that FANUC's joint targets have."""
+    if payload is None and robot.payloads:
+        yield f"no --payload: the robot is taken to carry none of {', '.join(robot.payloads)}"
     joint_targets = any(target.turn is None for _, target in all_targets(programs))
-    return replace(
-        done,
-        files={**files, **done.files},
-        rows=(*(skipped_row(file, entry) for file, entry in unread), *done.rows),
-        notes=(*empty, *([COUPLED] if maker == "fanuc" and joint_targets and not robot.couplings else ()), *done.notes),
-    )
+    if programs[0].maker == "fanuc" and joint_targets and not robot.couplings:
+        yield COUPLED
 
 
 def _start(robot: Robot, start: Sequence[float] | None) -> tuple[float, ...] | None:
