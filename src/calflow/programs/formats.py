@@ -67,15 +67,14 @@ def read_project(files: Mapping[str, bytes], root: Path) -> tuple[list[Program],
     wrong: list[Problem] = []
     tasks = sorted(set(filter(None, map(_task, files))))
     for file, source in sorted(files.items()):
-        suffix, text = Path(file).suffix.lower(), source.decode("latin-1")
-        named = next((maker for maker, format_ in FORMATS.items() if suffix in format_.suffixes), None)
-        if named is None or (suffix in OTHERS and not FORMATS[named].recognised(text)):
+        maker = _maker(file, source)
+        if maker is None:
             continue
         try:
             _, read = _read(source, root / file, file)
             # Modules outside the tasks (old versions, the controller's disk) need not be loaded together with these.
-            unit = _task(file) or (file if tasks else "") if named == "rapid" else ""
-            units.setdefault((named, unit), []).append(read)
+            unit = _task(file) or (file if tasks else "") if maker == "rapid" else ""
+            units.setdefault((maker, unit), []).append(read)
         except InputError as error:
             wrong.append(replace(error.problems[0], file=Path(file)))
     for (maker, _), every in units.items():
@@ -84,6 +83,23 @@ def read_project(files: Mapping[str, bytes], root: Path) -> tuple[list[Program],
         wrong += [FORMATS[maker].misread(problem, problem.file or root).problems[0] for problem in refused]
     for program in programs:
         _check_sizes(program, root / program.file)
+    _check_one_robot(programs, tasks, root)
+    return programs, [
+        (problem.file.as_posix(), Skipped(problem.file.name, problem.line or 1, "not read", problem.message))
+        for problem in wrong
+        if problem.file
+    ]
+
+
+def _maker(file: str, source: bytes) -> Maker | None:
+    """Return whose program a file is by its suffix, and by its first lines if others use the suffix; None if none's."""
+    suffix = Path(file).suffix.lower()
+    maker = next((maker for maker, format_ in FORMATS.items() if suffix in format_.suffixes), None)
+    return maker if maker and (suffix not in OTHERS or FORMATS[maker].recognised(source.decode("latin-1"))) else None
+
+
+def _check_one_robot(programs: Sequence[Program], tasks: Sequence[str], root: Path) -> None:
+    """Check that there are programs, and that they are of one maker and one task."""
     makers = sorted({FORMATS[program.maker].name for program in programs})
     moving = [task for task in tasks if any(program.targets and _task(program.file) == task for program in programs)]
     if not programs:
@@ -91,15 +107,8 @@ def read_project(files: Mapping[str, bytes], root: Path) -> tuple[list[Program],
     if len(makers) > 1:
         raise refuse(f"holds programs of several makers ({', '.join(makers)}): give the folder of one controller", root)
     if len(moving) > 1:
-        raise refuse(
-            f"holds targets of several tasks ({', '.join(moving)}): give the folder of the one of this robot", root
-        )
-    unread = [
-        (problem.file.as_posix(), Skipped(problem.file.name, problem.line or 1, "not read", problem.message))
-        for problem in wrong
-        if problem.file
-    ]
-    return programs, unread
+        several = ", ".join(moving)
+        raise refuse(f"holds targets of several tasks ({several}): give the folder of the one of this robot", root)
 
 
 def _task(file: str) -> str:
