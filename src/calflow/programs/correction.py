@@ -17,7 +17,7 @@ from calflow.programs.aims import Aim, FilterSettings, aims_of, all_targets, sec
 from calflow.programs.calibrated_robot import CalibratedRobot
 from calflow.programs.edits import PLACE_STEP, Edit, to_flags, to_pose, to_readings, with_edits
 from calflow.programs.postures import following, with_intended_readings
-from calflow.programs.target import UNASKED, Flag, Program, Reason, Skipped
+from calflow.programs.target import UNASKED, ArmPosture, Flag, Program, Reason, Skipped, Target
 
 SHARED_SHARE = 0.5  # a computed pose counts as corrected if its remaining error is below this share of its correction
 Outcome = Literal["moved", "unchanged", "follows", "not reached", "left alone"]
@@ -162,18 +162,24 @@ def _corrected(
                 note = f"is computed from {aim.copy or aim.target.name}, whose correction it shares"
                 rows.append(_row(aim, "follows", note, reason=shared, **figures))
                 continue
-            changes: list[tuple[Flag, str]] = []
-            if aim.target.turn is None:
-                written = to_readings(aim.target, new[list(corrector.axes.arm)])
-            else:
-                poses[aim.key] = inverse(aim.frame) @ after[k] @ aim.tool
-                written = to_pose(aim.target, poses[aim.key])
-                if aim.target.configuration and written:
-                    changes = list(aim.target.configuration.changes(*postures[k]))
-            edits[aim.key] = [*written, *to_flags(changes)]
-            flags = "; ".join(f"{flag.text} > {text}" for flag, text in changes)
-            rows.append(_row(aim, "moved" if written else "unchanged", aim.note, configuration=flags, **figures))
+            pose = inverse(aim.frame) @ after[k] @ aim.tool
+            if aim.target.turn:
+                poses[aim.key] = pose
+            written, flags = _written(aim.target, new[list(corrector.axes.arm)], pose, postures[k])
+            edits[aim.key] = [*written, *to_flags(flags)]
+            changed = "; ".join(f"{flag.text} > {text}" for flag, text in flags)
+            rows.append(_row(aim, "moved" if written else "unchanged", aim.note, configuration=changed, **figures))
     return edits, rows, tuple(notes)
+
+
+def _written(
+    target: Target, readings: np.ndarray, pose: np.ndarray, postures: tuple[ArmPosture, ArmPosture]
+) -> tuple[Sequence[Edit], Sequence[tuple[Flag, str]]]:
+    """Return the edits of a target's numbers, and its flags that change between two postures."""
+    if target.turn is None:
+        return to_readings(target, readings), ()
+    written = to_pose(target, pose)
+    return written, target.configuration.changes(*postures) if target.configuration and written else ()
 
 
 def _distance_mm(flange: np.ndarray, other: np.ndarray, tool: np.ndarray) -> float:
