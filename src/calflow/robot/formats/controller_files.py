@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
 from typing import Literal
 
@@ -98,29 +99,27 @@ def pasted(maker: Maker, texts: Mapping[Path, str], nominal: Robot, calibrated: 
         raise refuse(f"expected the controller's own file as it is today, beside: {kept.files}")
     where = ", ".join(path.name for path in texts)
     refuse_any(Problem(f"expected {name}, in {kept.files}: {where}") for name in asked if name not in values)
-    added = added_to_readings(nominal, calibrated)[arm]
-    after = {
-        kept.zero.format(
-            k + 1
-        ): f"{values[kept.zero.format(k + 1)] + kept.factor(values, k + 1) * more:.{kept.digits}f}"
-        for k, more in enumerate(added)
-    }
+    added = dict(enumerate(added_to_readings(nominal, calibrated)[arm], start=1))
+    zeros = {kept.zero.format(k): kept.factor(values, k) * more for k, more in added.items()}
+    after = {name: f"{values[name] + more:.{kept.digits}f}" for name, more in zeros.items()}
     placed = dict(kept.base(calibrated)) if nominal.base.known else {}
     tools = {name: value for marker in calibrated.markers for name, value in kept.tool(calibrated, marker).items()}
     after |= {name: f"{value:.6f}" for name, value in (placed | tools).items() if name in values}
     after = {name: number for name, number in after.items() if float(number) != values[name]}
-    notes = [f"joint {k + 1} reads {more:+.4f} more where it stands" for k, more in enumerate(added)]
-    lines = [f"{kept.comment} {line}" for line in ("[deg, mm]: see that each does before the robot moves", *notes)]
-    heading = ""
-    for statement in statements:
-        changed = statement.changed(after)
-        if changed == statement.text:
-            continue
-        if statement.heading != heading:
-            heading = statement.heading
-            lines += ["", heading]
-        lines += [f"{kept.comment} before: {line}" for line in statement.text.splitlines()] + [changed]
-    return Pasted("\n".join([*lines, ""]), any(name in values for name in tools))
+    lines = ["[deg, mm]: see that each does before the robot moves"]
+    lines += [f"joint {k} reads {more:+.4f} more where it stands" for k, more in added.items()]
+    text = "\n".join([*(f"{kept.comment} {line}" for line in lines), *_replaced(statements, after, kept.comment), ""])
+    return Pasted(text, any(name in values for name in tools))
+
+
+def _replaced(statements: Sequence[FileStatement], after: Mapping[str, str], comment: str) -> Iterator[str]:
+    """Yield the lines of the statements that other numbers change, each beside what it was, under their headings."""
+    changed = (pair for pair in ((old, old.changed(after)) for old in statements) if pair[1] != pair[0].text)
+    for heading, group in groupby(changed, key=lambda pair: pair[0].heading):
+        yield from ("", heading) if heading else ()
+        for statement, text in group:
+            yield from (f"{comment} before: {line}" for line in statement.text.splitlines())
+            yield text
 
 
 def added_to_readings(nominal: Robot, calibrated: Robot) -> np.ndarray:
