@@ -421,7 +421,7 @@ def read_urdf(path: Path, tip: Tips = None, base: str | None = None) -> dict[str
         InputError: with all that is wrong in it.
     """
     tree = find_tree(read_document(path), tip, base)
-    masses, moving = _carried(tree), tree.moving
+    moving = tree.moving
     number = {joint.name: i for i, joint in enumerate(moving)}
     stands, tips = _stands(tree)
     before = [stands[joint.name][0] for joint in moving]
@@ -433,32 +433,21 @@ def read_urdf(path: Path, tip: Tips = None, base: str | None = None) -> dict[str
         for i, joint in enumerate(moving)
     ]
     joints = []
-    for i, (joint, carried) in enumerate(zip(moving, masses, strict=True)):
+    for i, (joint, carried) in enumerate(zip(moving, _carried(tree), strict=True)):
         on, origin = stands[joint.name]
+        parent = number[on] if on else -1
         flange = ended[joint.name][1] if joint.name in ended else None
-        frame = joint_frame(
-            origin,
-            axes[i],
-            axes[number[on]] if on else None,
-            zero=joint.mimic.offset if joint.mimic else 0.0,
-            tip=flange,
-            beside=on in before[:i],
-        )
-        com = carried.com if carried else (0.0, 0.0, 0.0)
+        zero, axis_on = joint.mimic.offset if joint.mimic else 0.0, axes[parent] if on else None
+        frame = joint_frame(origin, axes[i], axis_on, zero=zero, tip=flange, beside=on in before[:i])
         bare = 0.0 if i == tree.ground - 1 else None  # the floor bears what stands on it
         joints.append(
             Joint(
-                frame,
-                kind="prismatic" if axes[i].slides else "revolute",
-                link=links[joint.name],
-                parent="" if (number[on] if on else -1) == i - 1 else links.get(on, BASE),
-                limits=_own_limits(joint),
-                mass=carried.mass if carried else bare,
-                com=vector(flange.rotation.T @ (np.array(com) - np.array(flange.xyz))) if flange else com,
-                name=joint.name,
+                frame, kind="prismatic" if axes[i].slides else "revolute", link=links[joint.name],
+                parent="" if parent == i - 1 else links.get(on, BASE), limits=_own_limits(joint),
+                mass=carried.mass if carried else bare, com=_centre(carried, flange), name=joint.name,
                 driven=joint.mimic is None,
             )
-        )
+        )  # fmt: skip
     markers = {
         tip: Marker((0.0, 0.0, 0.0) if name in ended else origin.xyz,
                     on="" if name == moving[-1].name else links.get(name, BASE))
@@ -472,6 +461,12 @@ def read_urdf(path: Path, tip: Tips = None, base: str | None = None) -> dict[str
         "couplings": _couplings(tree),
         "markers": {way.tip: markers[way.tip] for way in tree.ways},
     }
+
+
+def _centre(carried: Inertia | None, flange: FrameOrigin | None) -> Vector:
+    """The centre of what a joint carries, in the frame of its flange if it has one."""
+    com = carried.com if carried else (0.0, 0.0, 0.0)
+    return vector(flange.rotation.T @ (np.array(com) - np.array(flange.xyz))) if flange else com
 
 
 def _link_name(tree: UrdfTree, joint: UrdfJoint, ended: Mapping[str, tuple[str, FrameOrigin]]) -> str:
