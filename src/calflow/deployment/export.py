@@ -7,7 +7,7 @@ figures are fitted alone (see `figures_alone`). Controller figures are in mm and
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, cast
@@ -285,17 +285,15 @@ def export(
     chain, drives_of = rigid_chain(robot), [(drives or {}).get(joint.name, Drive()) for joint in robot.joints]
     more = {"ur-calibration": (HASH,), "urdf": said_of_drives(chain, drives_of)}.get(to, ())
     notes = (*worth, *_said(lost), *said_of_variables(robot), *more)
-    if to == "json":
-        text = json_text(chain, {**_figures(calibrated, exported_robot), "notes": notes})
-    elif to == "mjcf":
-        text = mjcf_text(chain, _heading(notes))
-    elif to == "ur-calibration":
-        text = driver_yaml(chain, [joint.frame.figures.get("d", 0.0) for joint in robot.joints], _heading(notes))
-    elif to == "urdf":
-        text = urdf_text(chain, _heading(notes), drives_of)
-    else:
-        text = properties_text(chain, _heading(notes))
-    return Export(text, notes, lost)
+    heading = _heading(notes)
+    writers: dict[str, Callable[[], str]] = {
+        "json": lambda: json_text(chain, {**_figures(calibrated, exported_robot), "notes": notes}),
+        "mjcf": lambda: mjcf_text(chain, heading),
+        "ur-calibration": lambda: driver_yaml(chain, [j.frame.figures.get("d", 0.0) for j in robot.joints], heading),
+        "urdf": lambda: urdf_text(chain, heading, drives_of),
+        "xacro-properties": lambda: properties_text(chain, heading),
+    }
+    return Export(writers[to](), notes, lost)
 
 
 def _controller_file(maker: Maker, levels: Levels | None, nominal: Robot, beside: Mapping[Path, str]) -> Export:
