@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from collections import Counter
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -216,50 +217,49 @@ def filter_command(
 
 def summary_lines(program: Path, done: Filtered) -> list[str]:
     """Return lines on how far targets moved, which did not and why, changed configuration flags, and assumptions."""
-    targets = [row for row in done.rows if row.kind]
+    rows, outcomes = done.rows, Counter(row.outcome for row in done.rows)
+    targets = [row for row in rows if row.kind and row.outcome != "follows"]
     moved = [row for row in targets if row.outcome == "moved"]
-    outcomes = [row.outcome for row in done.rows]
-    targets = [row for row in targets if row.outcome != "follows"]
-    counts = ", ".join(f"{outcomes.count(outcome)} {outcome}" for outcome in ("moved", "unchanged", "not reached"))
+    counts = ", ".join(f"{outcomes[outcome]} {outcome}" for outcome in ("moved", "unchanged", "not reached"))
     lines = [
-        f"{program}: {plural(len(targets), 'target')} stated by numbers: "
-        f"{counts}; {outcomes.count('left alone')} left alone"
+        f"{program}: {plural(len(targets), 'target')} stated by numbers: {counts}; {outcomes['left alone']} left alone"
     ]
     if sum(row.kind == "pose" and row.reason == "out of reach" for row in targets) > len(targets) / 2:
         lines.append(
             "most are not reached: are base and flange of the robot file the controller's? See --base and --flange"
         )
-    if moved:
-        most = max(moved, key=lambda row: row.moved_mm)
-        lines.append(
-            f"moved by {sum(row.moved_mm for row in moved) / len(moved):.3f} mm on average, at most {most.moved_mm:.3f} mm "
-            f"({_of(most)}); no joint by more than {max(row.largest_deg for row in moved):.3f} degrees"
-        )
-    promised = [row.promised_mm for row in done.rows if not math.isnan(row.promised_mm)]
-    if promised:
-        rms = math.sqrt(sum(promise**2 for promise in promised) / len(promised))
-        lines.append(f"expected error where they land: {rms:.3f} mm, root mean square; at most {max(promised):.3f}")
-    if following := [row for row in done.rows if row.outcome == "follows"]:
-        worst = max(following, key=lambda row: row.remaining_mm)
-        lines.append(
-            f"computed from these and moved with them: {len(following)}; by the model they land within {worst.remaining_mm:.3f} mm "
-            f"({_of(worst)})"
-        )
-    if reasons := Counter(row.reason for row in done.rows if row.reason):
+    lines += _distances(rows, moved)
+    if reasons := Counter(row.reason for row in rows if row.reason):
         lines.append(f"not corrected, by reason: {', '.join(f'{reason} {n}' for reason, n in reasons.most_common())}")
     for outcome in ("not reached", "left alone"):
-        lines += _first([f"{outcome}: {_of(row)}: {row.note}" for row in done.rows if row.outcome == outcome])
+        lines += _first([f"{outcome}: {_of(row)}: {row.note}" for row in rows if row.outcome == outcome])
     lines += _first([f"configuration changes: {_of(row)}: {row.configuration}" for row in moved if row.configuration])
     return lines + _first([f"assumed: {_of(row)}: {row.note}" for row in moved if row.note])
 
 
+def _distances(rows: Sequence[FilteredTarget], moved: Sequence[FilteredTarget]) -> Iterator[str]:
+    """Yield lines on how far targets moved, and on the errors to expect where they land."""
+    if moved:
+        mean, most = sum(row.moved_mm for row in moved) / len(moved), max(moved, key=lambda row: row.moved_mm)
+        yield (
+            f"moved by {mean:.3f} mm on average, at most {most.moved_mm:.3f} mm ({_of(most)}); "
+            f"no joint by more than {max(row.largest_deg for row in moved):.3f} degrees"
+        )
+    if promised := [row.promised_mm for row in rows if not math.isnan(row.promised_mm)]:
+        rms = math.sqrt(sum(promise**2 for promise in promised) / len(promised))
+        yield f"expected error where they land: {rms:.3f} mm, root mean square; at most {max(promised):.3f}"
+    if following := [row for row in rows if row.outcome == "follows"]:
+        worst = max(following, key=lambda row: row.remaining_mm)
+        yield (
+            f"computed from these and moved with them: {len(following)}; "
+            f"by the model they land within {worst.remaining_mm:.3f} mm ({_of(worst)})"
+        )
+
+
 def _first(lines: list[str]) -> list[str]:
     """Return the first of many lines, and a line that counts the others."""
-    more = (
-        [f"… and {len(lines) - NOTES_PRINTED} more like this: --summary has them all"]
-        if len(lines) > NOTES_PRINTED
-        else []
-    )
+    left = len(lines) - NOTES_PRINTED
+    more = [f"… and {left} more like this: --summary has them all"] if left > 0 else []
     return lines[:NOTES_PRINTED] + more
 
 
