@@ -348,12 +348,9 @@ class AttainedTurns:
 
     @staticmethod
     def of(
-        calibrated: CalibratedModel,
-        estimates: Mapping[str, np.ndarray],
-        data: Measurements,
-        conditions: np.ndarray,
+        calibrated: CalibratedModel, estimates: Mapping[str, np.ndarray], data: Measurements, conditions: np.ndarray,
         own: Sequence[np.ndarray],
-    ) -> AttainedTurns | None:
+    ) -> AttainedTurns | None:  # fmt: skip
         """Return mean orientations of points with rows own, by packed conditions; None without orientations."""
         if data.rotation is None or not np.isfinite(data.rotation).all():
             return None

@@ -131,16 +131,8 @@ def _units(table: pd.DataFrame, declared: Column) -> np.ndarray:
 
 
 def _numbers(
-    file: str,
-    name: str,
-    cells: int,
-    row: str,
-    was: float,
-    now: float,
-    unit: str,
-    scale: float | None,
-    in_sd: float | None,
-) -> Deviation:
+    file: str, name: str, cells: int, row: str, was: float, now: float, unit: str, scale: float | None, in_sd: float | None
+) -> Deviation:  # fmt: skip
     apart, larger = abs(now - was), max(abs(was), abs(now))
     return Deviation(
         file=file, name=name, cells=cells, row=row, was=f"{was:.10g}", now=f"{now:.10g}", unit=unit, absolute=apart,

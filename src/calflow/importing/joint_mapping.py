@@ -84,12 +84,9 @@ class FlangeKinematics:
 
 
 def fitted_readings(
-    flange: FlangeKinematics,
-    hypotheses: Sequence[JointReading],
-    figures: np.ndarray,
-    points: np.ndarray,
+    flange: FlangeKinematics, hypotheses: Sequence[JointReading], figures: np.ndarray, points: np.ndarray,
     marker: np.ndarray,
-) -> list[FittedReading]:
+) -> list[FittedReading]:  # fmt: skip
     """Return the fits of hypotheses, each by alternating fits of marker and rigid motion.
 
     figures (n_rows, n_columns) hold the columns, points (n_rows, 3) [m] are measured, marker (3,) [m] is the start.
@@ -163,12 +160,9 @@ def spread_of(points: np.ndarray) -> float:
 
 
 def screened_errors(
-    flange: FlangeKinematics,
-    hypotheses: Sequence[JointReading],
-    figures: np.ndarray,
-    points: np.ndarray,
+    flange: FlangeKinematics, hypotheses: Sequence[JointReading], figures: np.ndarray, points: np.ndarray,
     marker: np.ndarray,
-) -> np.ndarray:
+) -> np.ndarray:  # fmt: skip
     """Return the median errors (n_hypotheses,) [m] over a subset of rows, marker fixed (see `fitted_readings`)."""
     rows = np.linspace(0, len(points) - 1, min(SCREENED, len(points))).astype(int)
     errors = np.empty(len(hypotheses))

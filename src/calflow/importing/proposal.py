@@ -262,13 +262,8 @@ def _left_out(joined: Joined, taken: Collection[str]) -> list[str]:
 
 
 def _orientations(
-    joined: Joined,
-    readings: np.ndarray,
-    good: np.ndarray,
-    flange: FlangeKinematics,
-    sigma: float | None,
-    notes: list[str],
-) -> list[_Imported]:
+    joined: Joined, readings: np.ndarray, good: np.ndarray, flange: FlangeKinematics, sigma: float | None, notes: list[str]
+) -> list[_Imported]:  # fmt: skip
     """The columns of measured orientations if convention, tool and standard deviation are known, else a note."""
     members = next(iter(joined.roles.turns.values()))
     rows = tuple(replace(column, figures=column.figures[good]) for column in joined.columns)

@@ -41,12 +41,9 @@ WHERE_MEASURED = (
 
 @checked_arguments
 def next_poses(
-    study: Study,
-    number: Count = 10,
-    tolerance: float | None = None,
-    confidence: Confidence = CONFIDENCE,
+    study: Study, number: Count = 10, tolerance: float | None = None, confidence: Confidence = CONFIDENCE,
     say: Say = nobody,
-) -> NextStep:
+) -> NextStep:  # fmt: skip
     """Return a verdict on a study's measurements so far, and the poses to measure next; nothing is written.
 
     Args:
@@ -98,14 +95,9 @@ def _initial_step(
 
 
 def _diagnosed_step(
-    study: Study,
-    settings: SelectSettings,
-    data: Measurements,
-    number: int,
-    tolerance: float | None,
-    confidence: float,
+    study: Study, settings: SelectSettings, data: Measurements, number: int, tolerance: float | None, confidence: float,
     say: Say,
-) -> NextStep:
+) -> NextStep:  # fmt: skip
     """Return the next step after identification and diagnosis, which weighs possible missing causes."""
     rng = draws(study.file.seed)
     identifying = study.validated_settings("identify", IdentifySettings)

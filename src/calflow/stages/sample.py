@@ -76,13 +76,9 @@ def _task(
 
 
 def _points(
-    study: Study,
-    settings: WorkSettings,
-    model: Model,
-    measured: Measurements,
-    time_origin: float | None,
+    study: Study, settings: WorkSettings, model: Model, measured: Measurements, time_origin: float | None,
     rng: np.random.Generator,
-) -> Measurements:
+) -> Measurements:  # fmt: skip
     """Return the task's rows: every pose with every payload.
 
     Raises:
