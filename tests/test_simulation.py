@@ -170,18 +170,20 @@ def test_wrong_values_and_payloads_are_told_together(small):
         (
             "q1_deg,q2_dg,q3_inch\n1,2,3\n",
             [
-                "p.csv:1: missing column: expected q2_rad or q2_deg or q2_mrad or q2_urad or q2_arcsec, did you mean 'q2_dg'?",
-                "q3_deg",
+                "p.csv:1: unknown column 'q2_dg', did you mean 'q2_deg'?",
+                "p.csv:1: unknown column 'q3_inch', did you mean 'q3_",
+                "p.csv:1: missing column: expected q2_rad or q2_deg or q2_mrad or q2_urad or q2_arcsec",
+                "p.csv:1: missing column: expected q3_rad",
             ],
         ),
         (
             "q1_deg,q2_deg,q3_deg,q1_rad\n1,2,3,4\n",
-            ["p.csv:1: column 'q1_deg': 'q1' is there twice, in different units"],
+            ["p.csv:1: column 'q1_rad': 'q1' is there twice, in different units"],
         ),
-        ("q1_deg,q2_deg,q3_deg\n1,2,3\n\n1,,3\n", ["p.csv:4: a joint reading is empty"]),
+        ("q1_deg,q2_deg,q3_deg\n1,2,3\n\n1,,3\n", ["p.csv:4: column 'q2_deg' is empty"]),
         (
             "q1_deg,q2_deg,q3_deg\n1,2,3\n1,,3\n1,2,x\n",
-            ["p.csv:3: a joint reading is empty", "p.csv:4: column 'q3_deg': expected a number, found 'x'"],
+            ["p.csv:3: column 'q2_deg' is empty", "p.csv:4: column 'q3_deg': expected a number, found 'x'"],
         ),
     ],
 )

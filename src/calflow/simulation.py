@@ -203,7 +203,7 @@ def _readings(pose_set: PoseSet, truth: Truth, model: Model, path: Path, rng: np
     """Return the joint readings of a set, rounded as in a file, so that the file holds exactly the simulated pose."""
     units = np.array([np.deg2rad(1.0) if joint.kind == "revolute" else 1e-3 for joint in model.robot.joints])
     if pose_set.poses is not None:
-        stated = stated_poses(path.parent / pose_set.poses, model) / units
+        stated = stated_poses(path.parent / pose_set.poses, model.robot) / units
     else:
         region = np.array([truth.region.min, truth.region.max]) if truth.region else None
         payload = truth.payloads[0] if truth.payloads else ""

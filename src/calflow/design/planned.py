@@ -20,11 +20,12 @@ from calflow.design.optimality import ToolError
 from calflow.estimation.least_squares import LeastSquares, SeriesBlock, Sharing
 from calflow.estimation.noise import Noise, PerUnit
 from calflow.estimation.progress import Say, nobody
-from calflow.files.problems import Problem, nearest, refuse, refuse_any
+from calflow.estimation.registration import plausible
+from calflow.files.problems import refuse
 from calflow.files.toml import Count, Positive, as_annotated
-from calflow.files.units import SUFFIXES
 from calflow.measurements.cells import read_cells
-from calflow.measurements.rows import Layout, ReadColumn, numbers
+from calflow.measurements.measurements import Measurements
+from calflow.measurements.rows import Layout, numbered, split_column
 from calflow.measurements.series import Series
 from calflow.model import Model
 from calflow.observations import Observation
@@ -83,49 +84,19 @@ class Planned:
         return np.array([self.sigma if unit == units[0] else self.further[unit] or unit.usual for unit in units])
 
 
-def stated_poses(file: Path, model: Model) -> np.ndarray:
-    """Return the joint readings of a pose file [rad, or m], shape (n_poses, n_joints), in whatever unit its columns name.
+def stated_poses(file: Path, robot: Robot) -> np.ndarray:
+    """Return the joint readings of a pose file [rad, or m], shape (n_poses, n_joints), whatever its other columns.
 
     Raises:
         InputError: it cannot be read, lacks a joint's column, has no poses, or poses that the robot cannot reach.
     """
-    cells = read_cells(file, Layout())
-    columns = _joint_columns(list(map(str, cells)), model.robot, file)
-    read = [numbers(cells[column.theirs], column, Layout(), file) for column in columns]
-    misread = [problem for column in read for problem in column.problems]
-    stated = np.zeros((len(cells), model.robot.n_joints))
-    stated[:, model.robot.driven] = np.transpose([column.values for column in read])
-    empty = np.any([column.empty for column in read], axis=0)
-    finite = np.asarray(np.isfinite(stated).all(axis=1))
-    packed = packed_conditions(model, np.where(finite[:, None], stated, 0.0), "", "")
-    closed = np.abs(model.closure_cosine(model.nominal, packed)) < 1
-    lines = cells.index.to_numpy()
-    problems = [Problem("a joint reading is empty or not a number", file, int(line)) for line in lines[empty]]
-    problems += [
-        Problem("the four-bar loop cannot be closed at these joint readings", file, int(line))
-        for line in lines[finite & ~closed]
-    ]
-    refuse_any([*problems, *misread])
-    return np.asarray(stated)
-
-
-def _joint_columns(there: list[str], robot: Robot, file: Path) -> list[ReadColumn]:
-    """Return the column of each joint's reading, whatever its unit."""
-    columns: list[ReadColumn] = []
-    problems: list[Problem] = []
-    for i in robot.driven:
-        joint, name = robot.joints[i], f"q{i + 1}"
-        units = SUFFIXES["angle" if joint.kind == "revolute" else "length"]
-        ways = [f"{name}_{unit}" for unit in units]
-        readable = [ReadColumn(name, unit, way, way) for unit, way in zip(units, ways, strict=True) if way in there]
-        if not readable:
-            problems.append(Problem(f"missing column: expected {' or '.join(ways)}{nearest(ways[1], there)}", file, 1))
-        elif len(readable) > 1:
-            problems.append(Problem(f"{readable[1]}: '{name}' is there twice, in different units", file, 1))
-        else:
-            columns += readable
-    refuse_any(problems)
-    return columns
+    joints = set(numbered("q", robot.n_joints))
+    there = {name: split_column(name, robot)[0] for name in map(str, read_cells(file, Layout()))}
+    there = {name: joint for name, joint in there.items() if joint in joints}
+    # A file that lacks readings is read as it is, for the message on its columns.
+    whole = {f"q{i + 1}" for i in robot.driven} <= set(there.values())
+    rows = Measurements.to_predict(file, robot, columns=dict(zip(there, there, strict=True)) if whole else {})
+    return plausible(rows, file).joints
 
 
 @dataclass(frozen=True, eq=False)

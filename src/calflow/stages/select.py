@@ -98,7 +98,7 @@ def study_task(study: Study, settings: SelectSettings, model: Model, rng: np.ran
     payloads = task.payloads or (settings.payload,)
     marker = settings.marker or next(iter(study.robot.markers))
     if task.poses:
-        return Task.of(stated_poses(study.path.parent / task.poses, model), payloads, marker)
+        return Task.of(stated_poses(study.path.parent / task.poses, model.robot), payloads, marker)
     region = settings.region if task.region is None else task.region
     return Task.within(model, payloads, marker, region, task.number, rng)
 
@@ -112,7 +112,7 @@ def request_of(
         number=settings.poses, aim=settings.aim, task=study_task(study, settings, model, rng), payload=settings.payload,
         marker=settings.marker, region=settings.region, cell=settings.cell,
         planned=planned, candidates=settings.candidates,
-        stated=stated_poses(study.path.parent / file, model) if file else None,
+        stated=stated_poses(study.path.parent / file, model.robot) if file else None,
     )  # fmt: skip
 
 
