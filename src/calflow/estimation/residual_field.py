@@ -118,7 +118,7 @@ def learnt(
     apart = (scaled[:, None, :] - scaled[None, :, :]) ** 2
     whole = float(np.sqrt(np.mean(left**2)))
     y = left[some] / whole
-    own = np.zeros((*y.shape, 1)) if beside is None else beside[some] / whole
+    own = None if beside is None else beside[some] / whole
     n_joints = nodes.shape[1]
     limits = [(np.log(SMALLEST), 1.0)] * 2 + [(np.log(SHORTEST), np.log(LONGEST))] * n_joints
     tried = [
@@ -136,28 +136,24 @@ def learnt(
     return ResidualField(nodes, left, np.array(length), lost * whole * float(size), rest_alone, scatter)
 
 
-def _cost(logs: np.ndarray, apart: np.ndarray, y: np.ndarray, own: np.ndarray) -> tuple[float, np.ndarray]:
+def _cost(logs: np.ndarray, apart: np.ndarray, y: np.ndarray, own: np.ndarray | None) -> tuple[float, np.ndarray]:
     """Return the negative log marginal likelihood of y (n, 3), and its gradient by the log hyperparameters.
 
     logs holds the logarithms of the standard deviations of field and white part, then of the correlation lengths; apart
-    (n, n, n_joints) are squared differences of inputs, own (n, 3, n_parameters) the effect of standard normal parameters.
+    (n, n, n_joints) are squared differences of inputs, own (n, 3, n_parameters) the effect of standard normal parameters, if any.
     """
     size, rest = np.exp(2 * logs[:2])
     inverse = np.exp(-2 * logs[2:])
     smooth = size * np.exp(-0.5 * apart @ inverse)
     covariance = smooth + (rest + JITTER * size) * np.eye(len(y))
     factor = scipy.linalg.cho_factor(covariance, lower=True)
-    white = scipy.linalg.solve_triangular(factor[0], own.reshape(len(y), -1), lower=True)
-    along = scipy.linalg.solve_triangular(factor[0], white, lower=True, trans="T").reshape(own.shape)
-    # By QR: rounding in the Gram matrix of wide, nearly dependent priors (base and tool) would swallow the identity.
-    stacked = np.vstack([np.eye(own.shape[2]), white.reshape(-1, own.shape[2])])
-    root = np.asarray(np.linalg.qr(stacked, mode="r")).T
-    absorbed = scipy.linalg.solve_triangular(root, along.reshape(-1, len(root)).T, lower=True).T.reshape(own.shape)
-    weights = scipy.linalg.cho_solve(factor, y) - absorbed @ np.einsum("nak,na->k", absorbed, y)
-    spread = y.shape[1] * scipy.linalg.cho_solve(factor, np.eye(len(y))) - weights @ weights.T
-    spread -= np.einsum("nak,mak->nm", absorbed, absorbed, optimize=True)
-    value = 0.5 * float(np.vdot(y, weights)) + y.shape[1] * float(np.log(np.diag(factor[0])).sum())
-    value += float(np.log(np.abs(np.diag(root))).sum())
+    weights, log_root, known = scipy.linalg.cho_solve(factor, y), 0.0, 0.0
+    if own is not None:
+        absorbed, log_root = _absorbed(factor[0], own)
+        weights = weights - absorbed @ np.einsum("nak,na->k", absorbed, y)
+        known = np.einsum("nak,mak->nm", absorbed, absorbed, optimize=True)
+    spread = y.shape[1] * scipy.linalg.cho_solve(factor, np.eye(len(y))) - weights @ weights.T - known
+    value = 0.5 * float(np.vdot(y, weights)) + y.shape[1] * float(np.log(np.diag(factor[0])).sum()) + log_root
     by_smooth = spread * smooth
     slope = np.array(
         [
@@ -167,6 +163,17 @@ def _cost(logs: np.ndarray, apart: np.ndarray, y: np.ndarray, own: np.ndarray) -
         ]
     )
     return value, slope
+
+
+def _absorbed(factor: np.ndarray, own: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return what parameters of effect own (n, 3, n_parameters) absorb, beside a Cholesky factor, and their log-determinant."""
+    white = scipy.linalg.solve_triangular(factor, own.reshape(len(own), -1), lower=True)
+    along = scipy.linalg.solve_triangular(factor, white, lower=True, trans="T").reshape(own.shape)
+    # By QR: rounding in the Gram matrix of wide, nearly dependent priors (base and tool) would swallow the identity.
+    stacked = np.vstack([np.eye(own.shape[2]), white.reshape(-1, own.shape[2])])
+    root = np.asarray(np.linalg.qr(stacked, mode="r")).T
+    absorbed = scipy.linalg.solve_triangular(root, along.reshape(-1, len(root)).T, lower=True).T.reshape(own.shape)
+    return absorbed, float(np.log(np.abs(np.diag(root))).sum())
 
 
 @dataclass(frozen=True, kw_only=True)
