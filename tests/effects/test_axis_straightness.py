@@ -90,6 +90,22 @@ def test_a_crooked_rail_is_found():
     assert steps.iloc[-1] < 0.6 * steps.iloc[-2]
 
 
+def test_a_twisted_rail_is_as_twisted_as_it_is():
+    """Fails if a curve beyond what rails usually have is pulled towards zero, and the arm's dimensions take up the rest."""
+    rng = np.random.default_rng(7)
+
+    def rolling(poses: int) -> Measurements:
+        q = drawn(poses, rng)
+        off = np.zeros((poses, 6))
+        off[:, 5] = 1.5e-3 * np.sin(pi * q[:, 0] / TRAVEL)
+        return measured(q, off, rng)
+
+    told = identify(ON_A_RAIL, rolling(90), ("geometry",), starts=1).diagnose(catalogue=["axis-straightness"])
+    assert [(found.cause, found.joint) for found in told.findings] == [("axis-straightness", 1)]
+    error = told.validate(rolling(200), station="known").judged.rms_mm
+    assert np.sqrt(error**2 - 3e6 * SIGMA**2) < 2.5e3 * SIGMA  # 0.24 mm with curves of the usual size alone
+
+
 def test_a_wave_along_the_rail_is_told_by_its_way():
     """Fails if what a rack and its pinion repeat has no name, or another period or size than it has."""
     rng = np.random.default_rng(5)

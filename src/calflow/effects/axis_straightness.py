@@ -15,7 +15,9 @@ from calflow.robot.mechanism import Deflection, Row, State
 from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
 
-SHIFT_SD, TURN_SD = 1e-4, 5e-5  # m and rad rms, per axis
+SHIFT_SD, TURN_SD = 1e-4, 5e-5  # m and rad rms, per axis, at which a curve is looked for
+FACTORS = (0.25, 0.5, 2.0, 4.0)  # of these, to try around the best
+LARGEST = 1e-2  # m and rad rms
 BOUND = 0.02  # m and rad
 LENGTHS = (0.3, 0.1)  # correlation lengths, as shares of the travel
 RESOLVED = 0.5  # finest wavelength resolved, as a share of the correlation length
@@ -28,12 +30,16 @@ class AxisStraightness(Effect):
 
     z is along the rail, x and y across it, in the joint's frame; rotations are about the carriage. low and high [m] bound
     the travel that the data cover densely, equal for joints left out; length is the correlation length over the travel.
+    shift [m] and turn [rad] are the rms per axis a priori: one much below what the rail has would pull its curve towards zero
+    and let the arm's dimensions take up the rest, by more than the parameters' uncertainty says.
     """
 
     low: tuple[float, ...] = ()
     high: tuple[float, ...] = ()
     length: float = LENGTHS[0]
     turning: bool = False
+    shift: float = SHIFT_SD
+    turn: float = TURN_SD
 
     id = "axis-straightness"
     title = "straightness of an axis"
@@ -57,6 +63,13 @@ class AxisStraightness(Effect):
                 forms += [cls(robot, low, high, length, turning) for turning in (False, True)]
         return tuple(forms)
 
+    def finer(self, data: Measurements) -> tuple[Self, ...]:
+        """Return larger and smaller curves, and smoother ones: of a large curve, the first size that is tried takes a rough one."""
+        smoother = (replace(self, length=length) for length in LENGTHS if length > self.length)
+        shifts = (replace(self, shift=self.shift * factor) for factor in FACTORS)
+        turns = (replace(self, turn=self.turn * factor) for factor in FACTORS if self.turning)
+        return tuple(form for form in (*smoother, *shifts, *turns) if max(form.shift, form.turn) <= LARGEST)
+
     @classmethod
     def unfit(cls, robot: Robot, data: Measurements) -> str:
         """Return the number of positions required where every rail was measured at fewer."""
@@ -65,17 +78,23 @@ class AxisStraightness(Effect):
 
     @property
     def detail(self) -> str:
-        """The correlation length, and whether the carriage rotates."""
-        return f"alike over {self.length:.0%} of the travel, {'shifted and turned' if self.turning else 'shifted'}"
+        """The correlation length, whether the carriage rotates, and the sizes looked for where they are not the usual ones."""
+        usual = (self.shift, self.turn) == (SHIFT_SD, TURN_SD)
+        shifted, turned = (
+            ("", "") if usual else (f" by some {1e3 * self.shift:.2g} mm", f" by some {1e3 * self.turn:.2g} mrad")
+        )
+        return f"alike over {self.length:.0%} of the travel, shifted{shifted}{f' and turned{turned}' if self.turning else ''}"
 
     @property
     def variant(self) -> str:
         """Short name of the form, without the travels, which come from the data."""
-        return f"length {self.length:g}{' turning' if self.turning else ''}"
+        sizes = (("shift", self.shift, SHIFT_SD), ("turn", self.turn, TURN_SD))
+        others = (f" {name} {size:.3g}" for name, size, usual in sizes if size != usual)
+        return f"length {self.length:g}{' turning' if self.turning else ''}{''.join(others)}"
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the basis amplitudes of each rail's curves."""
-        kinds = [("", "m", SHIFT_SD), *([("r", "rad", TURN_SD)] if self.turning else [])]
+        kinds = [("", "m", self.shift), *([("r", "rad", self.turn)] if self.turning else [])]
         return tuple(
             Parameter(self.id, f"joint{i + 1}", f"wave{wave.number}{symbol}{axis}", unit, sd * wave.sd, -BOUND, BOUND, joint=i + 1,
                       meaning=f"{self.in_words().name} of joint {i + 1}")
