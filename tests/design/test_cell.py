@@ -9,8 +9,9 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 import calflow as cf
-from calflow.design.candidates import allowed, candidates, packed_conditions
+from calflow.design.candidates import candidates, packed_conditions
 from calflow.design.cell import RULES, Cell, CellStation, configuration
+from calflow.design.planned import SelectionRequest
 from calflow.design.skeleton import Skeleton, box_distances, segment_distances
 from calflow.files.problems import InputError
 from calflow.model import build
@@ -190,7 +191,7 @@ def test_stated_poses_keep_to_the_cell():
     robot = industrial()
     model = build(robot, ())
     readings, conditions = candidates(model, 100, "load", "E", None, np.random.default_rng(2))
-    kept = allowed(model, readings, "load", "E", None, BIG)
+    kept = SelectionRequest(payload="load", marker="E", cell=BIG).allowed(model, readings)
     assert np.array_equal(kept, BIG.refusals(model, conditions, "E") == 0)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calflow.design.candidates import allowed, candidates, packed_conditions
+from calflow.design.candidates import candidates, packed_conditions
 from calflow.design.cell import Cell, CellStation
 from calflow.design.optimality import ParameterCriterion, information
 from calflow.design.planned import Planned, SelectionRequest, Task
@@ -54,7 +54,7 @@ def test_refined_poses_are_better_and_allowed(model, for_tool):
         return criterion.loss(np.linalg.inv(information(jacobian, prior)))
 
     assert loss(found) < 0.9 * loss(readings)
-    assert allowed(model, found, "rated", "E", REGION).all()
+    assert request(planned).allowed(model, found).all()
 
 
 def test_refined_poses_keep_to_the_cell(model):
@@ -69,8 +69,8 @@ def test_refined_poses_keep_to_the_cell(model):
         refined_poses(model, request(planned, one), readings, prior, ParameterCriterion(len(prior)))
         for one in (None, cell)
     )
-    assert not allowed(model, free, "rated", "E", REGION, cell).all()
-    assert allowed(model, kept, "rated", "E", REGION, cell).all()
+    assert not request(planned, cell).allowed(model, free).all()
+    assert request(planned, cell).allowed(model, kept).all()
     assert (kept != readings).any()
 
 

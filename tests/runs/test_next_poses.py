@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 import calflow.stages.measuring_loop as loop
-from calflow.design.candidates import allowed
+from calflow.design.planned import SelectionRequest
 from calflow.model import build
 from calflow.runs.given_rows import with_rows
 from calflow.stages.measuring_loop import next_poses
@@ -84,7 +84,7 @@ def test_the_verdict_and_the_poses_are_written_and_within_the_cell(small):
     model = build(study.robot, ("geometry",), (), ())
     q = np.deg2rad(poses[["q1_deg", "q2_deg", "q3_deg"]].to_numpy())
     region = np.array([[0.2, -1.5, 0.2], [1.5, 1.5, 1.2]]) + np.array([[-5e-3], [5e-3]])  # the base is fitted
-    assert allowed(model, q, "heavy", "tool", region, cell).all()
+    assert SelectionRequest(payload="heavy", marker="tool", region=region, cell=cell).allowed(model, q).all()
 
 
 def test_rows_given_besides_count_as_if_they_stood_in_the_file(small):

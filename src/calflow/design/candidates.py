@@ -116,24 +116,6 @@ def candidates(
     )
 
 
-def allowed(
-    model: Model, readings: np.ndarray, payload: str, marker: str, region: np.ndarray | None, cell: Cell | None = None,
-    say: Say = nobody,
-) -> np.ndarray:  # fmt: skip
-    """Return which stated joint readings (n, n_joints) are within limits and region, and allowed by the cell, (n,)."""
-    angles = readings @ model.robot.reading_matrix.T
-    conditions = packed_conditions(model, readings, payload, marker)
-    good = model.robot.within_limits(angles) & reachable(model.robot, angles)
-    if region is not None:
-        position = model.position(model.nominal, conditions)
-        good &= ((position > region[0]) & (position < region[1])).all(axis=1)
-    if cell is not None:
-        refusals = cell.refusals(model, conditions[:, good], marker)
-        say(f"of those stated within joint limits and region {refused_words(refusals)}")
-        good[good] = refusals == 0
-    return np.asarray(good)
-
-
 def packed_conditions(model: Model, readings: np.ndarray, payload: str | np.ndarray, marker: str) -> np.ndarray:
     """Return packed conditions (n_conditions, n_rows) of readings (n_rows, n_joints), for one marker.
 

@@ -8,12 +8,12 @@ with the joint's position, since an outward pose is reached from inside.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
-from calflow.design.candidates import allowed, packed_conditions
+from calflow.design.candidates import packed_conditions
 from calflow.design.planned import Order, SelectionRequest
 from calflow.design.worth import PlanInformation
 from calflow.files.deferred import pd
@@ -90,8 +90,8 @@ def orders(plan: PlanInformation, rng: np.random.Generator) -> dict[Order, np.nd
 
     Trend-robust orders: Daniel and Wilcoxon 1966. If no positions are measured, the first random order is taken.
     """
-    drawn = [random_blocks(plan.readings, rng) for _ in range(RANDOM_ORDERS if _measures_positions(plan) else 1)]
-    moved = displacements(plan) if _measures_positions(plan) else {}
+    moved = displacements(plan)
+    drawn = [random_blocks(plan.readings, rng) for _ in range(RANDOM_ORDERS if moved else 1)]
     steady = min(drawn, key=lambda order: max((drift_bias(plan, order, way)[0] for way in moved.values()), default=0.0))
     return {"short": shortest_tour(plan.readings), "random": steady}
 
@@ -100,8 +100,6 @@ def drift_pulls(
     plan: PlanInformation, every: Mapping[Order, np.ndarray], taken: Order, drift: float
 ) -> list[DriftPull]:
     """Return the bias by a drift [m] in each order (n,) of the poses; none if no positions are measured."""
-    if not _measures_positions(plan):
-        return []
     short = max(travel(plan.readings[every["short"]]), np.finfo(float).tiny)
     pulls = []
     for name, order in every.items():
@@ -116,7 +114,12 @@ def drift_pulls(
 
 
 def displacements(plan: PlanInformation) -> dict[Drifting, np.ndarray]:
-    """Return the displacements of each pose's point by a drift of 1 m (of the robot: on average), (n, 3, n_ways)."""
+    """Return the displacements of each pose's point by a drift of 1 m (of the robot: on average), (n, 3, n_ways).
+
+    There are none if no positions are measured.
+    """
+    if plan.planned.observation.units[:3] != (METRE,) * 3:
+        return {}
     model = plan.model
     conditions = packed_conditions(model, plan.readings, plan.payload, plan.marker)
     out = model.point(model.nominal, conditions) - model.robot.base.origin
@@ -137,11 +140,6 @@ def drift_bias(plan: PlanInformation, order: np.ndarray, moved: np.ndarray) -> t
     pull = np.abs(off @ ways[0]) / np.sqrt(np.diag(plan.covariance))
     k = int(np.argmax(pull))
     return float(sizes[0]), k, float(pull[k])
-
-
-def _measures_positions(plan: PlanInformation) -> bool:
-    """Return whether positions are measured."""
-    return plan.planned.observation.units[:3] == (METRE,) * 3
 
 
 def drift_words(pulls: Sequence[DriftPull]) -> list[str]:
@@ -170,7 +168,7 @@ def vias(model: Model, request: SelectionRequest, readings: np.ndarray, rng: np.
     points, left = readings.copy(), np.arange(n)
     for _ in range(TRIES):
         via = readings[left] - _within(robot, readings[left], sides, ways[left])
-        good = allowed(model, via, request.payload, request.marker, None, request.cell)
+        good = replace(request, region=None).allowed(model, via)
         points[left[good]] = via[good]
         left = left[~good]
         if not len(left):

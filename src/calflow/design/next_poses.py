@@ -6,7 +6,7 @@ deviation, so that a single I-optimal design weights them by their effect on the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal
@@ -58,14 +58,6 @@ class Uncertainty:
     tool: np.ndarray
 
 
-@dataclass(frozen=True)
-class Chosen:
-    """A candidate pose to measure, by its index, and the reason in words."""
-
-    number: int
-    reason: str
-
-
 def uncertainties(
     missing: MissingEffects,
     error: TaskError,
@@ -104,21 +96,22 @@ def uncertainties(
 
 def further_poses(
     every: Sequence[Uncertainty], asked: Sequence[Question], choices: Measurements, measure: Measure, number: int
-) -> list[Chosen]:
-    """Choose candidates: some that separate rivals, if poses can, and those that reduce the tool's variance."""
-    discriminating = _discriminating(asked, choices, int(np.ceil(DISCRIMINATING_SHARE * number)))
+) -> Mapping[int, str]:
+    """Choose candidates, by their numbers, each with its reason in words.
+
+    Some separate rivals, if poses can, and the others reduce the tool's variance.
+    """
+    reasons = _discriminating(asked, choices, int(np.ceil(DISCRIMINATING_SHARE * number)))
     seen = np.concatenate([doubt.seen for doubt in every], axis=2)
     tool = np.concatenate([doubt.tool for doubt in every], axis=2)
-    information_matrix = information(seen[[pose.number for pose in discriminating]], np.eye(seen.shape[2]))
+    information_matrix = information(seen[list(reasons)], np.eye(seen.shape[2]))
     criterion = ToolError(tool, _shares(tool, information_matrix, measure))
-    others = np.setdiff1d(np.arange(len(seen)), [pose.number for pose in discriminating])
-    added = others[greedy(seen[others], information_matrix, min(number - len(discriminating), len(others)), criterion)]
-    reasons = []
-    for pose in added:
+    others = np.setdiff1d(np.arange(len(seen)), list(reasons))
+    for pose in others[greedy(seen[others], information_matrix, min(number - len(reasons), len(others)), criterion)]:
         after = information(seen[[pose]], information_matrix)
-        reasons.append(_reason(every, criterion, information_matrix, after))
+        reasons[int(pose)] = _reason(every, criterion, information_matrix, after)
         information_matrix = after
-    return [*discriminating, *(Chosen(int(pose), reason) for pose, reason in zip(added, reasons, strict=True))]
+    return reasons
 
 
 def _material(missing: MissingEffects, error: TaskError) -> list[WeightedForm]:
@@ -145,8 +138,8 @@ def _directions(missing: MissingEffects, lack: WeightedForm, tool: np.ndarray) -
     return np.asarray(root @ np.linalg.svd(moved, full_matrices=False)[2][:DIRECTIONS].T)
 
 
-def _discriminating(asked: Sequence[Question], choices: Measurements, most: int) -> list[Chosen]:
-    """Return the poses of all questions' plans, taken in turn."""
+def _discriminating(asked: Sequence[Question], choices: Measurements, most: int) -> dict[int, str]:
+    """Return the poses of all questions' plans, taken in turn, with what they are for."""
     plans = [(question, question.plan) for question in asked if question.plan]
     reasons: dict[int, str] = {}
     for k in range(most):
@@ -157,7 +150,7 @@ def _discriminating(asked: Sequence[Question], choices: Measurements, most: int)
                 reasons.setdefault(
                     int(same.argmax()), f"distinguishes {label(question.cause.id, question.cause.joint)} from {rivals}"
                 )
-    return [Chosen(number, reason) for number, reason in reasons.items()]
+    return reasons
 
 
 def _shares(tool: np.ndarray, information_matrix: np.ndarray, measure: Measure) -> np.ndarray:
@@ -345,16 +338,15 @@ def _choices(
     return rows_like(data, readings, came, (asked.payload,) * len(readings), rng)
 
 
-def _table(model: Model, choices: Measurements, chosen: Sequence[Chosen], asked: SelectionRequest) -> pd.DataFrame:
+def _table(model: Model, choices: Measurements, reasons: Mapping[int, str], asked: SelectionRequest) -> pd.DataFrame:
     """Return the poses in short measuring order, each with its reason, and its sides of approach if recorded."""
-    order = shortest_tour(choices.joints[[pose.number for pose in chosen]])
-    ordered = [chosen[int(k)] for k in order]
-    numbers = [pose.number for pose in ordered]
+    chosen = np.array(list(reasons))
+    numbers = chosen[shortest_tour(choices.joints[chosen])]
     table = planned_poses(model, asked, choices.joints[numbers])
     if "approach" in choices.given:
         sides = choices.table[[f"approach{i + 1}" for i in model.robot.driven]]
         table = table.assign(**sides.iloc[numbers].astype(int).reset_index(drop=True))
-    return table.assign(reason=[pose.reason for pose in ordered])
+    return table.assign(reason=[reasons[number] for number in numbers])
 
 
 def _suspects(diagnosis: Diagnosis, missing: MissingEffects) -> tuple[Suspect, ...]:

@@ -71,18 +71,15 @@ class PlanInformation:
     @cached_property
     def own(self) -> np.ndarray:
         """The poses' whitened Jacobians (n, n_units, n_parameters)."""
-        return self.seen(self.payload, self.marker)
+        return self._whitened(self.model, self.payload, self.marker)
 
     @cached_property
     def covariance(self) -> np.ndarray:
         """The posterior covariance with the poses, (n_parameters, n_parameters)."""
         return np.linalg.inv(information(self.own, self.prior))
 
-    def seen(self, payload: str, marker: str) -> np.ndarray:
-        """Return the whitened Jacobians with another payload or marker, (n, n_units, n_parameters)."""
-        return self._whitened(self.model, payload, marker)
-
     def _whitened(self, model: Model, payload: str, marker: str) -> np.ndarray:
+        """Return the whitened Jacobians with another model, payload or marker, (n, n_units, n_parameters)."""
         conditions = packed_conditions(model, self.readings, payload, marker)
         return self.planned.whitened(model, model.nominal, conditions) * model.prior_sd
 
@@ -94,12 +91,12 @@ class PlanInformation:
         every_other = np.arange(n) % 2 == 1
         for name in robot.payloads:
             if name != self.payload:
-                mixed = np.where(every_other[:, None, None], self.seen(name, self.marker), self.own)
+                mixed = np.where(every_other[:, None, None], self._whitened(self.model, name, self.marker), self.own)
                 yield f"payload '{name}' at every other pose", n, n, information(mixed, self.prior)
         others = [name for name in robot.markers if name != self.marker]
         for name in others:
             words = f"marker '{name}' measured at every pose too"
-            yield words, n, 2 * n, information(self.seen(self.payload, name), current)
+            yield words, n, 2 * n, information(self._whitened(self.model, self.payload, name), current)
         if not others:
             words = f"a second marker, {1e3 * ASIDE:.0f} mm beside the first, measured at every pose too"
             yield words, n, 2 * n, current + self._second_marker()
