@@ -98,13 +98,13 @@ def test_noise_that_grows_with_range_is_measured():
     assert even is None or even.p > 0.001
 
 
-FAMILY = ("gear-transmission-error", "joint-eccentricity")
+FAMILY = ("gear-ratio-error", "gear-transmission-error", "joint-eccentricity")
 
 
 def test_what_stays_unexplained_has_suspects():
     """Fails if errors of another joint are suspected, an improbable cause is, or a probable one with a dependence but the first."""
     known = fitted()
-    effects = tuple(catalogue()[name](known.data.robot) for name in (*FAMILY, "gear-ratio-error"))
+    effects = tuple(catalogue()[name](known.data.robot) for name in (*FAMILY, "nonlinear-joint-stiffness"))
     scores = Linearisation.at(known, Catalogue(effects, {})).beside.scores
     first, second, third = (
         UnexplainedStructure(inputs, 1e-6, 0.5, (), along=along)
@@ -116,7 +116,9 @@ def test_what_stays_unexplained_has_suspects():
     of_joint = [{cause.place for cause in family if cause.joint == joint} for joint in (2, 4)]
     assert all(of_joint)
     assert [{cause.place for cause in left.suspects} for left in found] == [*of_joint, set()]
-    likely = next(score for score in unlikely if (score.cause.id, score.cause.joint) == ("gear-ratio-error", 6))
+    likely = next(
+        score for score in unlikely if (score.cause.id, score.cause.joint) == ("nonlinear-joint-stiffness", 3)
+    )
     for odds, told in ((SUSPECTED * 1.1, True), (SUSPECTED * 0.9, False)):
         cost = -2 * np.log(odds / (1 - odds) * len(by_place(scores)))
         others = [replace(likely, cost=cost) if score is likely else score for score in unlikely]

@@ -407,6 +407,17 @@ def test_sureness_is_told_for_each_status(small: Context) -> None:
     assert unsure(RunOutcome(with_diagnosis(small, BACKLASH).results)) == []
 
 
+def test_several_causes_told_as_one_curve_of_a_torque_say_so(small: Context) -> None:
+    """Fails if a torque's curve is told as one of the angle, or its number of causes as known."""
+    both = Found("one_of", "nonlinear-joint-stiffness", 2, 1e-3, 1e-5, "rad", rivals="torque-backlash 2")
+    (found,) = RunOutcome(with_diagnosis(small, both).results).findings
+    found = replace(found, numbers=(1, 2))
+    assert found.name == "nonlinear compliance of joint 2"
+    certainty = name_certainty(found)
+    assert "depends on the joint's torque" in certainty
+    assert certainty.endswith("its exact form or whether it is one cause or several.")
+
+
 @pytest.mark.parametrize(
     ("cause", "estimate", "sd", "unit", "words"),
     [

@@ -22,11 +22,12 @@ from calflow.diagnosis.misfit import Misfit
 from calflow.diagnosis.noise_growth import RANGE, Growth
 from calflow.diagnosis.screening import Screening
 from calflow.diagnosis.stepwise import kindred
-from calflow.diagnosis.unexplained import POSE, UnexplainedStructure
+from calflow.diagnosis.unexplained import POSE, UnexplainedStructure, is_any_error_along
 from calflow.diagnosis.verdict import SIZE, Rival, Verdict, found_amplitude
 from calflow.effects import Effect, catalogue
 from calflow.effects.base import (
     IN_TIME,
+    NONLINEAR,
     SMOOTH_IN,
     UNEXPLAINED,
     Cause,
@@ -181,6 +182,11 @@ class Finding:
     def of_family(self) -> bool:
         """Whether its family is certain but not the member: an error of one joint's angle, say, whose order is not resolved."""
         return cause_family(self.cause) in SMOOTH_IN and self.status == "one_of" and (bool(self.kin) or not self.rivals)
+
+    @property
+    def curve_of(self) -> str:
+        """What of its joint its family's curves depend on, in words."""
+        return "torque" if cause_family(self.cause) == NONLINEAR else "angle"
 
     @property
     def kin(self) -> tuple[str, ...]:
@@ -409,8 +415,9 @@ def _together(rows: Sequence[Finding], verdicts: Sequence[Verdict]) -> Finding:
     order = sorted(range(len(rows)), key=lambda k: verdicts[k].finding.own.cost)
     lead, causes = rows[order[0]], [verdicts[k].finding.cause for k in order]
     family, where = causes[0].effect.family, f" of {_place(causes[0])}" if causes[0].joint else ""
-    rivals = dict.fromkeys(NamedCause(rival.id, rival.joint) for verdict in verdicts for rival in verdict.others)
-    own = NamedCause(lead.cause, causes[0].joint)
+    own, *kin = (NamedCause(cause.id, cause.joint) for cause in causes)
+    others = [NamedCause(rival.id, rival.joint) for verdict in verdicts for rival in verdict.others]
+    rivals = [*(other for other in kin if other != own), *(rival for rival in others if not own.covers(rival))]
     alike = dict.fromkeys([*(name for row in rows for name in row.cannot_tell_from), *_relatives(causes[0])])
     # A curve's root mean square and an amplitude at the rated torque are different quantities.
     measured = cause_words(lead.cause).size
@@ -426,7 +433,7 @@ def _together(rows: Sequence[Finding], verdicts: Sequence[Verdict]) -> Finding:
         cannot_tell_from=tuple(name for name in alike if name != lead.cause),
         detail=", with ".join([lead.detail or causes[0].title, *names[1:]]),
         statement=f"{family}{where}: {', and '.join(names)}",
-        **Finding.of_rivals([rival for rival in rivals if not own.covers(rival)]),
+        **Finding.of_rivals([*dict.fromkeys(rivals)]),
         not_tested=tuple(dict.fromkeys(name for row in rows for name in row.not_tested)),
         carries_over=False if False in carried else None if None in carried else True,
         numbers=tuple(number for row in rows for number in row.numbers),
@@ -441,7 +448,8 @@ def _cause(verdict: Verdict, fitted: Fitted, left: UnexplainedStructure | None, 
     estimate, sd = curve.rms_over_travel if curve else found_amplitude(verdict.finding, fitted)
     others = list(dict.fromkeys(rival.id for rival in verdict.others))
     if left:
-        others += [name for name in _relatives(cause) or [UNEXPLAINED] if name not in others]
+        same = _relatives(cause) if is_any_error_along(cause, left.inputs) else [UNEXPLAINED]
+        others += [name for name in same if name not in others]
     return Finding(
         status="one_of" if others else verdict.status, cause=cause.id, joint=cause.joint or None, estimate=estimate,
         sd=sd if sd > 0 else NAN, unit=cause.declared[0].unit, p_family=verdict.finding.p, probability=verdict.of_effect,
@@ -465,7 +473,7 @@ def _statement(verdict: Verdict, left: UnexplainedStructure | None) -> str:
     cause = verdict.finding.cause
     where = f" of {_place(cause)}" if cause.joint else ""
     detail = f" ({_detail(verdict)})" if _detail(verdict) else ""
-    if left and cause.effect.named_in():
+    if left and is_any_error_along(cause, left.inputs):
         return f"{cause.effect.family}{where}: form not resolved, more is left than {cause.title}{detail} explains"
     if left:
         return f"{cause.title}{where}{detail}, or what stays unexplained ({' and '.join(left.inputs)})"

@@ -76,12 +76,12 @@ def suspected(left: Sequence[UnexplainedStructure], scores: Sequence[Score[Cause
     structures = []
     for first, structure in zip((True, *[False] * len(left)), left, strict=False):
         causes = [(places[place][1].cause, first and odds[place] >= least) for place in likeliest]
-        suspects = (cause for cause, likely in causes if likely or _is_any_error_along(cause, structure.along))
+        suspects = (cause for cause, likely in causes if likely or is_any_error_along(cause, structure.along))
         structures.append(replace(structure, suspects=tuple(suspects)))
     return tuple(structures)
 
 
-def _is_any_error_along(cause: Cause, inputs: tuple[str, ...]) -> bool:
+def is_any_error_along(cause: Cause, inputs: tuple[str, ...]) -> bool:
     """Whether a cause is of the family of general errors along one of these inputs."""
     own = {f"q{cause.joint}" if name == ITS_ANGLE else name for name in cause.effect.named_in()}
     return not own.isdisjoint(inputs)

@@ -44,9 +44,10 @@ NONLINEAR = "nonlinear compliance"
 STRUCTURE = "structural compliance"
 OF_THE_TOOL = "compliance of the tool"
 IN_TIME = ("time", "order")  # the inputs on which a drift of the measuring device depends
-ITS_ANGLE = "q"  # the angle of the cause's own joint
-# Families with a member that is an arbitrary smooth function of these inputs.
-SMOOTH_IN = {TRANSMISSION: (ITS_ANGLE,), OF_THE_FRAME: IN_TIME}
+ITS_ANGLE, ITS_TORQUE = "q", "tau"  # of the cause's own joint
+# Families of curves of one input of the same joint or device: the sum of two members is another curve, so that data do not show
+# whether one or two causes act.
+SMOOTH_IN = {TRANSMISSION: (ITS_ANGLE,), NONLINEAR: (ITS_TORQUE,), OF_THE_FRAME: IN_TIME}
 REVERSALS = "vary the travel since the last reversal, from tenths of a degree (a slide: of a millimetre) to many"
 JOINT_ALONE = "move the joint alone over all its travel, and measure closely on the way"
 NEGLIGIBLE = 1e-3  # share of the largest prior standard deviation below which a basis function is dropped
@@ -335,7 +336,7 @@ class Effect(ABC):
 
     @classmethod
     def named_in(cls) -> tuple[str, ...]:
-        """Return the inputs of which a member of its family is an arbitrary smooth function: errors in them are named."""
+        """Return the inputs of which the members of its family are curves: errors in them are named."""
         return SMOOTH_IN.get(cls.family, ())
 
     def travel(self, joint: int) -> Travel | None:

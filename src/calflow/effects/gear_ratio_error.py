@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from calflow.effects.base import JOINT_ALONE, JointError, Term, Words
+from calflow.effects.base import JOINT_ALONE, TRANSMISSION, JointError, Term, Words
 from calflow.robot.mechanism import Row, State
 
 
@@ -16,6 +16,7 @@ class GearRatioError(JointError):
     id = "gear-ratio-error"
     title = "gear ratio error"
     words = Words("gear ratio error", "the joint turns more, or less, than its reading says", "excess")
+    family = TRANSMISSION
     readable = {"1": (1e6, "µrad/rad")}
     told_by = JOINT_ALONE
 

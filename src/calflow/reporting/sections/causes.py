@@ -271,7 +271,7 @@ def _what(finding: Finding) -> str:
     size = f"{words.size} {finding.amount}" if finding.unit else ""
     if finding.of_family:
         best = f"{words.name} ({finding.detail})" if finding.detail else words.name
-        turned = f"The angle of joint {finding.joint} is off by an amount that depends on the angle"
+        turned = f"The angle of joint {finding.joint} is off by an amount that depends on the {finding.curve_of}"
         off = turned if finding.joint else WANDERED
         return f"{off}; best described as {best}: {size}."
     title = first_up(words.what or words.name)
@@ -283,9 +283,10 @@ def name_certainty(finding: Finding) -> str:
     sentences = []
     if finding.of_family:
         kin = first_up(listed([cause_words(name).name for name in finding.kin]))
-        on = "the joint's angle" if finding.joint else "time"
-        sentences.append(f"The data show that it depends on {on}, but do not determine its exact form.")
-        sentences += [f"{kin} would fit as well."] if finding.kin else []
+        on = f"the joint's {finding.curve_of}" if finding.joint else "time"
+        several = " or whether it is one cause or several" if len(finding.numbers) > 1 else ""
+        sentences.append(f"The data show that it depends on {on}, but do not determine its exact form{several}.")
+        sentences += [f"{kin} would fit as well."] if finding.kin and not several else []
     if finding.others:
         named = [other for other in finding.others if other.cause != UNEXPLAINED]
         tested = [other.name for other in named if other.cause not in finding.not_tested]
