@@ -5,7 +5,7 @@ The rows of several devices (series) form one table; a session is a block of row
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 from html import escape
@@ -325,26 +325,8 @@ def combined(parts: Sequence[Measurements]) -> Measurements:
     origins = [part.time_origin for part in parts if part.time_origin is not None]
     origin = min(origins) if len(origins) == len(parts) else None
     shared = [name for name in OPTIONAL if all(name in part.given for part in parts)]
-    notes = [f"{part.series[0].name or k + 1}: {note}" for k, part in enumerate(parts) for note in part.notes]
-    tables = []
-    for k, part in enumerate(parts):
-        table = part.table.assign(
-            series=k, pose=part.table["pose"].astype(str), repeat=part.table["repeat"].astype(str)
-        )
-        if origin is not None and part.time_origin is not None:
-            table["time"] += part.time_origin - origin
-        lost = [name for name in part.given if name not in (*shared, *DERIVED)]
-        columns = [column for name in lost for column in condition_columns(name, part.robot)]
-        tables.append(table.drop(columns=columns))
-        if lost:
-            notes.append(f"not all measurements state {', '.join(lost)}: left out")
-    unsplit = [k for k, table in enumerate(tables) if "split" not in table]
-    if len(unsplit) < len(tables):
-        for k in unsplit:
-            tables[k] = tables[k].assign(split="train")
-            notes.append(
-                f"{parts[k].series[0].name or k + 1}: no column 'split', as others have: all rows are to be fitted"
-            )
+    split = any("split" in part.table for part in parts)
+    tables = [_rows_of_series(k, part.stating((*shared, *DERIVED)), origin, split) for k, part in enumerate(parts)]
     whole = pd.concat(_with_unique_names(tables, numbered("q", first.robot.n_joints)), ignore_index=True)
     labels = {name for part in parts for name in part.series[0].labels}
     for label in {"session", *labels, *whole.select_dtypes(["object", "string"])}:
@@ -352,9 +334,29 @@ def combined(parts: Sequence[Measurements]) -> Measurements:
             whole[label] = whole[label].fillna("")
     whole["order"] = whole["time"].rank(method="dense") if origin is not None else np.arange(1.0, len(whole) + 1)
     return replace(
-        first, table=whole, notes=tuple(dict.fromkeys(notes)), series=tuple(part.series[0] for part in parts),
-        time_origin=origin, units=tuple(sorted({unit for part in parts for unit in part.units})),
+        first, table=whole, notes=tuple(dict.fromkeys(_notes(parts, shared, split))), time_origin=origin,
+        series=tuple(part.series[0] for part in parts), units=tuple(sorted({unit for part in parts for unit in part.units})),
     )  # fmt: skip
+
+
+def _notes(parts: Sequence[Measurements], shared: Sequence[str], split: bool) -> Iterator[str]:
+    """Yield the notes of all parts, and those on conditions and a split that not all of them state."""
+    named = [(part.series[0].name or k + 1, part) for k, part in enumerate(parts)]
+    yield from (f"{name}: {note}" for name, part in named for note in part.notes)
+    for part in parts:
+        if lost := [name for name in part.given if name not in (*shared, *DERIVED)]:
+            yield f"not all measurements state {', '.join(lost)}: left out"
+    for name, part in named:
+        if split and "split" not in part.table:
+            yield f"{name}: no column 'split', as others have: all rows are to be fitted"
+
+
+def _rows_of_series(k: int, part: Measurements, origin: float | None, split: bool) -> pd.DataFrame:
+    """Return the rows of series k, times from a common origin [s], to be fitted where they have no split and others do."""
+    rows = part.table.assign(series=k, pose=part.table["pose"].astype(str), repeat=part.table["repeat"].astype(str))
+    if origin is not None and part.time_origin is not None:
+        rows["time"] += part.time_origin - origin
+    return rows.assign(split="train") if split and "split" not in rows else rows
 
 
 def continued(parts: Sequence[Measurements]) -> Measurements:
