@@ -136,12 +136,9 @@ def features(position: np.ndarray, rotation: np.ndarray | None) -> np.ndarray:
 
 
 def targets_in_measuring_frame(
-    targets: Targets,
-    names: Sequence[str],
-    frames: Mapping[str, TargetFrameTable],
-    calibrated: CalibratedModel,
+    targets: Targets, names: Sequence[str], frames: Mapping[str, TargetFrameTable], calibrated: CalibratedModel,
     conditions: np.ndarray,
-) -> Targets:
+) -> Targets:  # fmt: skip
     """Return targets in the measuring frame, each given in the frame of that name.
 
     Frame "base": the robot's base as calibrated; "measuring" and "": the measuring frame.
@@ -198,13 +195,9 @@ class Landing:
 
 
 def landing(
-    model: Model,
-    p: np.ndarray,
-    conditions: np.ndarray,
-    targets: Targets,
-    start: np.ndarray,
+    model: Model, p: np.ndarray, conditions: np.ndarray, targets: Targets, start: np.ndarray,
     near: np.ndarray | None = None,
-) -> Landing:
+) -> Landing:  # fmt: skip
     """Return the readings nearest to a start with which the marker is at the targets.
 
     Gauss-Newton on the graph: each iteration takes, of all readings that reach the target to first order, those nearest
@@ -520,12 +513,9 @@ def _to_singularity(rigid: Model, conditions: np.ndarray, oriented: bool) -> np.
 
 
 def field_landing(
-    calibrated: CalibratedModel,
-    conditions: np.ndarray,
-    targets: Targets,
-    start: np.ndarray,
+    calibrated: CalibratedModel, conditions: np.ndarray, targets: Targets, start: np.ndarray,
     begun: np.ndarray | None = None,
-) -> Landing:
+) -> Landing:  # fmt: skip
     """Return the readings nearest to a start that reach the targets, with the residual field (see `landing`)."""
     landed = landing(calibrated.model, calibrated.estimate, conditions, targets, start, begun)
     if calibrated.field is None:
@@ -698,15 +688,9 @@ def _same_way(first: Measurements, other: Measurements) -> np.ndarray:
 
 
 def _judged(
-    stated: StatedModel,
-    targets: Targets,
-    start: np.ndarray,
-    landed: Landing,
-    ways: bool,
-    settled: np.ndarray,
-    elsewhere: np.ndarray,
-    common: np.ndarray,
-) -> Compensation:
+    stated: StatedModel, targets: Targets, start: np.ndarray, landed: Landing, ways: bool, settled: np.ndarray,
+    elsewhere: np.ndarray, common: np.ndarray,
+) -> Compensation:  # fmt: skip
     """Return the compensation with predicted errors of the readings found and of the nominal ones."""
     calibrated, model = stated.calibrated, stated.calibrated.model
     oriented = targets.rotation is not None
@@ -801,41 +785,32 @@ class Command:
 
 def command_table(compensation: Compensation, in_order: bool) -> pd.DataFrame:
     """Return the table of `Command`s, one row per target."""
-    robot = compensation.data.robot
-    names = reading_columns(robot)
-    columns: dict[str, object] = {"reached": compensation.reached}
-    given = shown_readings(robot, np.where(compensation.reached[:, None], compensation.readings, np.nan))
-    columns |= dict(zip(names, given.T, strict=True))
-    oriented, none = compensation.turn_sd is not None, np.full((len(given), 3), np.nan)
-    columns |= {
-        "expected_mm": 1e3 * compensation.expected,
-        "remaining_mm": 1e3 * compensation.remaining,
-        "remaining_mrad": 1e3 * compensation.turned if oriented else none[:, 0],
+    found, robot, clear = compensation, compensation.data.robot, compensation.clearance
+    names, nominal = reading_columns(robot), shown_readings(robot, found.nominal)
+    given = shown_readings(robot, np.where(found.reached[:, None], found.readings, np.nan))
+    oriented, none = found.turn_sd is not None, np.full((len(given), 3), np.nan)
+    turns = none if found.turn_sd is None else 1e3 * found.turn_sd
+    columns: dict[str, object] = {
+        "reached": found.reached,
+        **dict(zip(names, given.T, strict=True)),
+        "expected_mm": 1e3 * found.expected,
+        "remaining_mm": 1e3 * found.remaining,
+        "remaining_mrad": 1e3 * found.turned if oriented else none[:, 0],
+        **{f"sd_{axis}_mm": 1e3 * found.sd[:, k] for k, axis in enumerate(AXES)},
+        **{f"sd_r{axis}_mrad": turns[:, k] for k, axis in enumerate(AXES)},
+        **{f"nominal_{name}": values for name, values in zip(names, nominal.T, strict=True)},
+        "nominal_miss_mm": 1e3 * found.nominal_miss,
+        "nominal_miss_mrad": 1e3 * found.nominal_turned if oriented else none[:, 0],
+        "limit_joint": clear.joint + 1,
     }
-    columns |= {f"sd_{axis}_mm": 1e3 * compensation.sd[:, k] for k, axis in enumerate(AXES)}
-    turns = none if compensation.turn_sd is None else 1e3 * compensation.turn_sd
-    columns |= {f"sd_r{axis}_mrad": turns[:, k] for k, axis in enumerate(AXES)}
-    columns |= {
-        f"nominal_{name}": values
-        for name, values in zip(names, shown_readings(robot, compensation.nominal).T, strict=True)
-    }
-    columns |= {
-        "nominal_miss_mm": 1e3 * compensation.nominal_miss,
-        "nominal_miss_mrad": 1e3 * compensation.nominal_turned if oriented else none[:, 0],
-        "limit_joint": compensation.clearance.joint + 1,
-    }
-    if compensation.not_physical is not None:
-        columns |= {f"not_physical_{axis}_mm": 1e3 * compensation.not_physical[:, k] for k, axis in enumerate(AXES)}
-    units = np.array([joint.shown[0] for joint in robot.joints])
-    factors = np.array([joint.shown[1] for joint in robot.joints])
+    if found.not_physical is not None:
+        columns |= {f"not_physical_{axis}_mm": 1e3 * found.not_physical[:, k] for k, axis in enumerate(AXES)}
+    units, factors = (np.array(figures) for figures in zip(*(joint.shown for joint in robot.joints), strict=True))
     for unit in dict.fromkeys(units):
-        rows = units[compensation.clearance.joint] == unit
-        rows &= np.isfinite(compensation.clearance.limit)
-        columns[f"to_limit_{unit}"] = np.where(
-            rows, compensation.clearance.limit * factors[compensation.clearance.joint], np.nan
-        )
-    columns["to_singularity_deg"] = np.rad2deg(compensation.clearance.singular)
+        rows = (units[clear.joint] == unit) & np.isfinite(clear.limit)
+        columns[f"to_limit_{unit}"] = np.where(rows, clear.limit * factors[clear.joint], np.nan)
+    columns["to_singularity_deg"] = np.rad2deg(clear.singular)
     sides = [f"approach{i + 1}" for i in robot.driven]
-    if in_order and sides[0] in compensation.data.table:
-        columns |= {name: compensation.data.table[name].astype(int).to_numpy() for name in sides}
+    if in_order and sides[0] in found.data.table:
+        columns |= {name: found.data.table[name].astype(int).to_numpy() for name in sides}
     return typed(pd.DataFrame(columns), Command)
