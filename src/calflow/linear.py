@@ -382,10 +382,9 @@ class LinearAdequacy:
         """The results in words."""
         if self.lack_of_fit is None:
             words = "Whether the model lacks something cannot be told: the noise is not known."
-        elif self.lack_of_fit > LACK_OF_FIT:
-            words = f"What is left is no more than the noise (p = {self.lack_of_fit:.2g})."
         else:
-            words = f"What is left is more than the noise (p = {self.lack_of_fit:.2g})."
+            much = "no more" if self.lack_of_fit > LACK_OF_FIT else "more"
+            words = f"What is left is {much} than the noise (p = {self.lack_of_fit:.2g})."
         if self.together < LACK_OF_FIT:
             words += f" It is correlated from row to row beyond what the noise explains (p = {self.together:.2g})."
         return words
@@ -537,14 +536,9 @@ def _flat(residual: np.ndarray, jacobian: np.ndarray) -> np.ndarray:
 
 
 def _problems(
-    residual: np.ndarray,
-    jacobian: np.ndarray,
-    candidates: Sequence[Block],
-    prior_sd: np.ndarray | None,
-    noise: np.ndarray | float | None,
-    order: np.ndarray | None,
-    groups: np.ndarray | None,
-) -> list[str]:
+    residual: np.ndarray, jacobian: np.ndarray, candidates: Sequence[Block], prior_sd: np.ndarray | None,
+    noise: np.ndarray | float | None, order: np.ndarray | None, groups: np.ndarray | None,
+) -> list[str]:  # fmt: skip
     """Return all problems with the arguments."""
     if residual.ndim != 1:
         return [f"residual: expected shape (n,), found {residual.shape}"]
