@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from matplotlib.ticker import MaxNLocator
@@ -330,18 +330,23 @@ def open_questions(outcome: RunOutcome) -> list[str]:
     sentences = [statement_words(statement) for statement in of_kind(outcome, "scale")]
     if silent:
         sentences.append(f"{first_up(spoken(silent, outcome))}: assumed, not measured.")
-    named = [trade for trade in trades if len(trade.parameters) <= PARAMETERS_NAMED][:TRADES]
-    for first, *rest in (trade.parameters for trade in named):
-        sentences.append(f"{first_up(spoken([first], outcome))} cannot be separated from {spoken(rest, outcome)}.")
-    if further := len(trades) - len(named):
-        several = f"{further} {'more ' if named else ''}{'combination' if further == 1 else 'combinations'}"
-        sentences.append(f"{several} of many parameters. The errors above do not depend on that.")
+    sentences += _trade_sentences(trades, outcome)
     if bound:
         size = spoken(bound, outcome)
         sentences.append(f"The size of {size}: at the end of the allowed range, so no standard deviation is given.")
     if prior:
         sentences.append(f"{first_up(spoken(prior, outcome))}: no better known than before.")
     return sentences
+
+
+def _trade_sentences(trades: Sequence[Statement], outcome: RunOutcome) -> Iterator[str]:
+    """Yield sentences on parameters that cannot be separated, the shorter combinations by name."""
+    named = [trade for trade in trades if len(trade.parameters) <= PARAMETERS_NAMED][:TRADES]
+    for first, *rest in (trade.parameters for trade in named):
+        yield f"{first_up(spoken([first], outcome))} cannot be separated from {spoken(rest, outcome)}."
+    if further := len(trades) - len(named):
+        several = f"{further} {'more ' if named else ''}{'combination' if further == 1 else 'combinations'}"
+        yield f"{several} of many parameters. The errors above do not depend on that."
 
 
 def statement_words(statement: Statement) -> str:
