@@ -217,17 +217,13 @@ def check_parameters(file: StudyFile, origin: Origin) -> None:
 def _stated(tables: Mapping[str, Any]) -> Iterator[tuple[tuple[str, ...], Expected, list[tuple[str, ...]]]]:
     """Yield each parameter's path of keys, its statement in SI units, and its errors: messages, each after any key."""
     for location, table in _named_tables(tables):
-        figures, units, wrong = dict[str, float](), dict[str, str](), list[tuple[str, ...]]()
+        figures, units, wrong = dict[str, Any](), dict[str, str](), list[tuple[str, ...]]()
         for key, value in table.items():
             figure = next((name for name in FIGURES if key == name or key.startswith(f"{name}_")), "")
             if not figure:
                 if key != "fixed":
-                    wrong.append(
-                        (
-                            key,
-                            f"unknown key{nearest(key, ('fixed', *FIGURES))}; expected fixed, or {', '.join(FIGURES)} with a unit",
-                        )
-                    )
+                    near = nearest(key, ("fixed", *FIGURES))
+                    wrong.append((key, f"unknown key{near}; expected fixed, or {', '.join(FIGURES)} with a unit"))
                 elif not isinstance(value, bool):
                     wrong.append((key, f"expected true or false, found {truncated(repr(value))}"))
             elif isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= LARGEST[""]:
@@ -248,12 +244,8 @@ def _stated(tables: Mapping[str, Any]) -> Iterator[tuple[tuple[str, ...], Expect
             wrong.append(("value is where a parameter is held: expected fixed = true beside it",))
         if not (figures or fixed or wrong):
             wrong.append((f"states nothing: expected fixed = true, or {', '.join(FIGURES)} with a unit",))
-        of = figures.get
-        stated = Expected(
-            name=".".join(location), unit=next(iter(units.values()), ""), mean=of("mean"), sd=of("sd"), lower=of("lower"),
-            upper=of("upper"), fixed=fixed, value=of("value"),
-        )  # fmt: skip
-        yield location, stated, wrong
+        name, unit = ".".join(location), next(iter(units.values()), "")
+        yield location, Expected(name=name, unit=unit, fixed=fixed, **figures), wrong
 
 
 def _named_tables(
