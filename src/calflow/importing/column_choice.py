@@ -208,11 +208,10 @@ def _best(choices: Sequence[Choice], joined: Joined) -> tuple[Choice, tuple[str,
             f"{joined.title}: {_titles(fitting[0], joined)} are where the nominal robot is, or have the names of planned "
             f"positions. Which were measured? Name the columns: --column x_mm=NAME --column y_mm=NAME --column z_mm=NAME"
         )
-    left = (
+    notes = tuple(
         f"{_titles(choice, joined)} are where the nominal robot is, to rounding: computed, and left out"
         for choice in computed[:1]
     )
-    notes = tuple(left)
     if not measured:
         return min(choices, key=lambda choice: choice.mapping.taken.error / choice.mapping.spread), notes
     apart = {choice.points: choice for choice in reversed(measured)}
