@@ -135,6 +135,18 @@ def test_rows_are_put_right_behind_a_mistake_of_the_whole_table(tmp_path, column
     np.testing.assert_array_equal(after.joints, data.joints)
 
 
+def test_rows_pasted_from_a_table_in_radians_are_put_right(tmp_path):
+    """Fails if a whole pose in another unit is no mistake, and successive ones pass for a step that a cause explains."""
+    data, _ = measured(tmp_path, Case(poses=70), 3)
+    angles, pasted = [f"q{i + 1}" for i in range(6)], np.arange(20, 25)
+    table = data.table.copy()
+    table.loc[pasted, angles] *= np.pi / 180
+    after, (found,) = examined(replace(data, table=table))
+    assert (found.cause, found.joint, found.action) == ("unit-mistake", 0, "corrected")
+    assert list(found.lines) == data.table["line"].iloc[pasted].tolist()
+    np.testing.assert_allclose(after.joints, data.joints, rtol=1e-9)
+
+
 def test_without_masses_too(tmp_path):
     """Fails if deflection that the robot file's masses would explain is let stand, so that outliers drown in it."""
     case = Case(

@@ -272,14 +272,18 @@ def _table_units(data: Measurements) -> Iterator[Mistake]:
             "unit-mistake", 0, _linear(factor * IDENTITY), f"x, y, z are in {words}", where=MEASUREMENT_FILE,
             remedy="correct their unit", in_rows=(Correction(0, POSITION, float(f"{factor:.10g}")),),
         )  # fmt: skip
-    for i in data.robot.driven:
+    turning = [i for i in data.robot.driven if data.robot.joints[i].kind == "revolute"]
+    for joints in [*([i] for i in turning), *([turning] if len(turning) > 1 else [])]:
         for factor, words in ((DEGREE, "radians instead of degrees"), (1 / DEGREE, "degrees instead of radians")):
-            if data.robot.joints[i].kind == "revolute":
-                in_rows = (Correction(0, f"q{i + 1}", float(f"{factor:.10g}")),)
-                yield Mistake(
-                    "unit-mistake", i + 1, _mapped({i: (i, factor)}), f"column q{i + 1} is in {words}", where=MEASUREMENT_FILE,
-                    remedy="correct its unit", in_rows=in_rows,
-                )  # fmt: skip
+            one = len(joints) == 1
+            which, remedy = (
+                (f"column q{joints[0] + 1} is", "correct its unit") if one else ("all angles are", "correct their unit")
+            )
+            in_rows = tuple(Correction(0, f"q{i + 1}", float(f"{factor:.10g}")) for i in joints)
+            yield Mistake(
+                "unit-mistake", joints[0] + 1 if one else 0, _mapped({i: (i, factor) for i in joints}), f"{which} in {words}",
+                where=MEASUREMENT_FILE, remedy=remedy, in_rows=in_rows,
+            )  # fmt: skip
 
 
 # --- The robot file ------------------------------------------------------------------------------------
