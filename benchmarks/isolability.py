@@ -32,9 +32,7 @@ import pandas as pd
 from blind_cases import UNITS, Unit
 
 import calflow as cf
-from calflow.design.planned import Planned, SelectionRequest
-from calflow.design.selection import select
-from calflow.design.separability import (
+from calflow.design.isolability import (
     DRAWS_PER_CAUSE,
     RECORDS,
     ROOM_TEMPERATURE,
@@ -43,6 +41,8 @@ from calflow.design.separability import (
     chances,
     screened,
 )
+from calflow.design.planned import Planned, SelectionRequest
+from calflow.design.selection import select
 from calflow.diagnosis import FALSE_ALARM
 from calflow.diagnosis.diagnosis import search_causes
 from calflow.diagnosis.screening import Family, Screening

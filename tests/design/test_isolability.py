@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import f as f_distribution
 
-from calflow.design.planned import Planned
-from calflow.design.separability import (
+from calflow.design.isolability import (
     TYPICAL_ERROR,
     MeasuringPlan,
     chances,
@@ -15,6 +14,7 @@ from calflow.design.separability import (
     isolability_gaps,
     isolability_summary,
 )
+from calflow.design.planned import Planned
 from calflow.diagnosis.regressors import Candidate, Held, Regressors
 from calflow.diagnosis.screening import Family, Screening
 from calflow.linear import Block

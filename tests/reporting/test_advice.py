@@ -17,7 +17,7 @@ from calflow.deployment.in_space import ALONE, RANGES, SpaceError
 from calflow.deployment.run_outcome import RunOutcome
 from calflow.deployment.usability import Advice, Rule, judgement
 from calflow.design.discrimination import NextPose, SeparationRow
-from calflow.design.separability import IsolabilityCell
+from calflow.design.isolability import IsolabilityCell
 from calflow.diagnosis.candidates import CandidateRow
 from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.findings import Finding

@@ -11,7 +11,7 @@ import pytest
 import typst
 
 from calflow.deployment.run_outcome import RunOutcome
-from calflow.design.separability import IsolabilityCell
+from calflow.design.isolability import IsolabilityCell
 from calflow.estimation import fit
 from calflow.estimation.calibrated_model import Alternative
 from calflow.estimation.certainty import Certainty

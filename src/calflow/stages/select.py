@@ -9,10 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from calflow.design.candidates import candidates
-from calflow.design.measuring_order import DriftPull, drift_words, sides_words
-from calflow.design.planned import Planned, Record, SelectionRequest, Task, stated_poses
-from calflow.design.selection import Certificate, Observability, PlannedPose, Selection, select
-from calflow.design.separability import (
+from calflow.design.isolability import (
     Isolability,
     IsolabilityCell,
     MeasuringPlan,
@@ -20,6 +17,9 @@ from calflow.design.separability import (
     isolability_gaps,
     isolability_summary,
 )
+from calflow.design.measuring_order import DriftPull, drift_words, sides_words
+from calflow.design.planned import Planned, Record, SelectionRequest, Task, stated_poses
+from calflow.design.selection import Certificate, Observability, PlannedPose, Selection, select
 from calflow.design.worth import HowMany, Worth, worth_words
 from calflow.diagnosis import FALSE_ALARM
 from calflow.effects import catalogue

@@ -7,7 +7,7 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from calflow.design.separability import isolability_gaps, isolability_summary
+from calflow.design.isolability import isolability_gaps, isolability_summary
 from calflow.files.deferred import pd
 from calflow.files.words import first_up
 from calflow.reporting.advice import ISOLABILITY_TABLE

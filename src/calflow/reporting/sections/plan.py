@@ -9,10 +9,10 @@ from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 from calflow.deployment.run_outcome import RunOutcome
+from calflow.design.isolability import isolability_gaps, isolability_summary
 from calflow.design.measuring_order import DriftPull
 from calflow.design.planned import Aim
 from calflow.design.selection import Certificate
-from calflow.design.separability import isolability_gaps, isolability_summary
 from calflow.design.worth import HowMany, Worth
 from calflow.files.deferred import pd
 from calflow.files.words import cut, first_up, listed, mm, number, percent, plural
