@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from calflow.design.task_error import MissingEffects, Site, task_error
+from calflow.design.task_error import MissingEffects, TaskSlopes, task_error
 from calflow.diagnosis.diagnosis import search_causes
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import Catalogue
@@ -95,7 +95,7 @@ def test_the_task_s_error_is_as_large_as_promised_where_a_misfit_is_smooth():
     fitted = Fitted(fit, data, noise, lack, "linear", stated(data))
     assert fitted.errors.functions
     missing = MissingEffects.of(fitted, Catalogue.of(data, ("geometry",)))
-    site = Site(fitted, there.conditions, model.point_jacobian(fit.estimate, there.conditions))
+    site = TaskSlopes(fitted, there.conditions, model.point_jacobian(fit.estimate, there.conditions))
     drawn = task_error(missing, (), site, "rms", np.random.default_rng(1))
     promised = fitted.errors.variance(model, fit.estimate, fitted.covariance, there.conditions)
     assert drawn.quantile(0.5) == pytest.approx(np.sqrt(promised.sum(axis=1).mean()), rel=0.1)
@@ -104,7 +104,7 @@ def test_the_task_s_error_is_as_large_as_promised_where_a_misfit_is_smooth():
 def test_each_cause_has_rivals_of_its_own(missing):
     """Fails if the rivals of all causes together are taken for one choice, whose probabilities then are more than 1."""
     fitted = missing.fitted
-    site = Site(
+    site = TaskSlopes(
         fitted, fitted.data.conditions, fitted.model.point_jacobian(fitted.fit.estimate, fitted.data.conditions)
     )
     off = fitted.fit.estimate.copy()

@@ -19,7 +19,7 @@ from calflow.design.optimality import ToolError, information
 from calflow.design.planned import Measure, Planned, SelectionRequest
 from calflow.design.search import greedy
 from calflow.design.selection import PlannedPose, planned_poses
-from calflow.design.task_error import MissingEffects, Site, TaskError, WeightedForm, task_error
+from calflow.design.task_error import MissingEffects, TaskError, TaskSlopes, WeightedForm, task_error
 from calflow.diagnosis.diagnosis import Diagnosis, extended_model
 from calflow.diagnosis.findings import findings
 from calflow.diagnosis.screening import Catalogue
@@ -62,7 +62,7 @@ def uncertainties(
     missing: MissingEffects,
     error: TaskError,
     alternatives: Sequence[Alternative],
-    site: Site,
+    at_task: TaskSlopes,
     planned: Planned,
     choices: Measurements,
 ) -> list[Uncertainty]:
@@ -75,16 +75,16 @@ def uncertainties(
     slopes = slopes.reshape(len(choices), -1, slopes.shape[1])
     jacobian = slopes[:, :, free]
     root = np.linalg.cholesky(missing.covariance)
-    uncertainties = [Uncertainty(PARAMETERS, jacobian @ root, site.slopes[:, :, free] @ root)]
+    uncertainties = [Uncertainty(PARAMETERS, jacobian @ root, at_task.slopes[:, :, free] @ root)]
     start = len(estimate)
-    for lack, tool in zip(asked, site.left(missing, [lack.form for lack in asked]), strict=True):
+    for lack, tool in zip(asked, at_task.left(missing, [lack.form for lack in asked]), strict=True):
         columns = lack.form.columns
         turn = _directions(missing, lack, tool) * np.sqrt(missing.probability(lack.form.kind, lack.form.name))
         seen = slopes[:, :, start : start + len(columns)] + jacobian @ missing.response(columns)
         uncertainties.append(Uncertainty(lack.form.name, seen @ turn, tool @ turn))
         start += len(columns)
     if planned.observation.units == (METRE,) * 3:
-        both = (choices.conditions, site.conditions)
+        both = (choices.conditions, at_task.conditions)
         seen, tool = (offsets(alternatives, whole, estimate, rows) for rows in both)
         for k, alternative in enumerate(alternatives):
             size, own = np.sqrt(alternative.probability), slice(k, k + 1)
@@ -280,12 +280,12 @@ def next_step(
     catalogue = Catalogue.of(fitted.data, [effect.id for effect in fitted.plain])
     missing = MissingEffects.of(fitted, catalogue)
     bare = replace(fitted.model, given=())
-    site = Site.of(fitted, asked.task, rng("conditions"))
+    at_task = TaskSlopes.of(fitted, asked.task, rng("conditions"))
     rivals = _rivals(diagnosis)
     by_cause = [
         [rival for rival in rivals if rival.gone == cause] for cause in diagnosis.causes[: diagnosis.n_deployed]
     ]
-    error = task_error(missing, by_cause, site, asked.measure, rng("task error"))
+    error = task_error(missing, by_cause, at_task, asked.measure, rng("task error"))
     verdict = _verdict(diagnosis, identified, data, missing, catalogue, error, asked, confidence, rng)
     calibrated = extended_model(diagnosis, identified, data)
     if verdict.status == "stop":
@@ -293,7 +293,7 @@ def next_step(
         return NextStep(verdict, numbered_on(nothing, data), calibrated)
     planned = planned_like(fitted, fitted_share(data))
     choices = _choices(bare, fitted.data, planned, asked, rng("candidates"))
-    every = uncertainties(missing, error, rivals, site, planned, choices)
+    every = uncertainties(missing, error, rivals, at_task, planned, choices)
     chosen = further_poses(every, questions(diagnosis, data, rng, choices), choices, asked.measure, asked.number)
     return NextStep(verdict, numbered_on(_table(bare, choices, chosen, asked), data), calibrated)
 

@@ -37,7 +37,6 @@ from calflow.estimation.probing import probed
 from calflow.estimation.smooth_functions import Wandering, smooth_functions
 from calflow.estimation.variance_components import LOG_PRIOR, SIZES, directions, explained
 from calflow.measurements.series import Series
-from calflow.model import Model
 from calflow.observations.position import Position
 
 Kind = Literal["nothing", "cause", "background", "pose"]
@@ -249,7 +248,7 @@ class TaskError:
 
 
 @dataclass(frozen=True, eq=False)
-class Site:
+class TaskSlopes:
     """The task of the fitted model: packed rows (n_conditions, n_points), and the tool's Jacobian there.
 
     slopes (n_points, 3, n_parameters) [m]: derivatives by the parameters.
@@ -260,16 +259,18 @@ class Site:
     slopes: np.ndarray
 
     @staticmethod
-    def of(fitted: Fitted, task: Task, rng: np.random.Generator) -> Site:
+    def of(fitted: Fitted, task: Task, rng: np.random.Generator) -> TaskSlopes:
         """Return the task's points, with conditions other than readings and payload like those of the measured rows."""
         came = rng.choice([-1.0, 1.0], task.readings.shape)
         conditions = rows_like(fitted.data, task.readings, came, list(task.payloads), rng).conditions
-        return Site(fitted, conditions, fitted.model.point_jacobian(fitted.fit.estimate, conditions))
+        return TaskSlopes(fitted, conditions, fitted.model.point_jacobian(fitted.fit.estimate, conditions))
 
     def moved(self, effects: tuple[Effect, ...]) -> np.ndarray:
         """Return the Jacobian of the tool's points by effects at zero, (n_points, 3, n_columns) [m]."""
-        model, estimate, seen = self._seen
-        _, slopes = probed(seen.problem(model, estimate, self.conditions), estimate, effects)
+        whole, perfect = self.fitted.model, Planned(Position.planned(Series()), 1.0)
+        model = replace(whole, observations=(perfect.observation,))
+        estimate = whole.handed_on(self.fitted.fit.estimate, model)
+        _, slopes = probed(perfect.problem(model, estimate, self.conditions), estimate, effects)
         return np.asarray(slopes.reshape(*self.slopes.shape[:2], -1)[:, :, len(estimate) :])
 
     @property
@@ -283,13 +284,6 @@ class Site:
         ]
         return np.asarray(np.linalg.qr(self.slopes[:, :, unknown].reshape(3 * len(self.slopes), len(unknown)))[0])
 
-    @property
-    def _seen(self) -> tuple[Model, np.ndarray, Planned]:
-        """Return the model as observed by a perfect device, in the measuring frame."""
-        whole = self.fitted.model
-        model = replace(whole, observations=(Position.planned(Series()),))
-        return model, whole.handed_on(self.fitted.fit.estimate, model), Planned(model.observations[0], 1.0)
-
     def left(self, missing: MissingEffects, forms: Sequence[Form]) -> Iterator[np.ndarray]:
         """Yield for each form the tool's displacement by a unit of each column, after refitting, (n_points, 3, n)."""
         free = self.slopes[:, :, np.flatnonzero(~self.fitted.fit.at_bound)]
@@ -301,7 +295,7 @@ class Site:
 def task_error(
     missing: MissingEffects,
     rivals: Sequence[Sequence[Alternative]],
-    site: Site,
+    at_task: TaskSlopes,
     measure: Measure,
     rng: np.random.Generator,
 ) -> TaskError:
@@ -314,19 +308,19 @@ def task_error(
     fitted = missing.fitted
     lack = rng.choice(len(missing.every), TASK_DRAWS, p=missing.weights)
     drawn = [(missing.every[k], np.flatnonzero(lack == k)) for k in np.unique(lack)]
-    error, lacking = _without_smooth(site, missing, drawn, rng)
+    error, lacking = _without_smooth(at_task, missing, drawn, rng)
     if fitted.errors.functions:
         smooth = np.isin(lack, [k for k, candidate in enumerate(missing.every) if candidate.form.kind == "background"])
-        error[smooth], lacking[smooth] = (part[smooth] for part in _smooth(site, fitted, rng))
+        error[smooth], lacking[smooth] = (part[smooth] for part in _smooth(at_task, fitted, rng))
         drawn = [(candidate, draws) for candidate, draws in drawn if candidate.form.kind != "background"]
     for others in rivals:
         of_choice = [alternative.probability for alternative in others]
         chosen = rng.choice(len(others) + 1, TASK_DRAWS, p=[*of_choice, 1 - sum(of_choice)])
-        moved = offsets(others, fitted.model, fitted.fit.estimate, site.conditions)
+        moved = offsets(others, fitted.model, fitted.fit.estimate, at_task.conditions)
         for k in range(len(others)):
             lacking[chosen == k] += moved[:, :, k]
     forms = list({id(candidate.form): candidate.form for candidate, _ in drawn}.values())
-    slopes = dict(zip(map(id, forms), site.left(missing, forms), strict=True))
+    slopes = dict(zip(map(id, forms), at_task.left(missing, forms), strict=True))
     for candidate, draws in drawn:
         shape = lacking[draws].shape
         if candidate.independent:
@@ -335,7 +329,7 @@ def task_error(
             mean, covariance = missing.amplitude(candidate)
             amplitude = mean + _normal(len(draws), covariance, rng)
             lacking[draws] += np.einsum("nab,kb->kna", slopes[id(candidate.form)], amplitude, optimize=True)
-    taught = site.taught
+    taught = at_task.taught
     error, lacking = (
         off - ((off.reshape(TASK_DRAWS, -1) @ taught) @ taught.T).reshape(off.shape) for off in (error, lacking)
     )
@@ -344,7 +338,10 @@ def task_error(
 
 
 def _without_smooth(
-    site: Site, missing: MissingEffects, drawn: Sequence[tuple[WeightedForm, np.ndarray]], rng: np.random.Generator
+    at_task: TaskSlopes,
+    missing: MissingEffects,
+    drawn: Sequence[tuple[WeightedForm, np.ndarray]],
+    rng: np.random.Generator,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Draw parameter errors, and the errors with parameters known (n_draws, n_points, 3) [m], without smooth errors.
 
@@ -356,7 +353,7 @@ def _without_smooth(
         joined = np.concatenate([draws for lack, draws in drawn if lack.independent == independent])
         mean, covariance = missing.parameters(independent)
         drawn_parameters[joined] = mean + level[joined, None] * (_normal(len(joined), covariance, rng))
-    error = np.einsum("nap,kp->kna", site.slopes[:, :, free], drawn_parameters, optimize=True)
+    error = np.einsum("nap,kp->kna", at_task.slopes[:, :, free], drawn_parameters, optimize=True)
     elsewhere = fitted.left_out.drawn(TASK_DRAWS, rng)
     # An independent error of each pose cannot be distinguished from unknown noise.
     apart = 0.0 if fitted.noise.known else missing.scatter
@@ -364,20 +361,20 @@ def _without_smooth(
     return error, lacking
 
 
-def _smooth(site: Site, fitted: Fitted, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+def _smooth(at_task: TaskSlopes, fitted: Fitted, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Draw parameter errors, and the errors with parameters known (n_draws, n_points, 3) [m], by the error model.
 
     Drift of the measuring device does not move the tool.
     """
     still = np.array([not _is_device_drift(function) for function in fitted.errors.function_of], dtype=bool)
     errors = fitted.errors.only(still)
-    moved = errors.at(fitted.model, fitted.fit.estimate, site.conditions).moved
+    moved = errors.at(fitted.model, fitted.fit.estimate, at_task.conditions).moved
     off = _normal(TASK_DRAWS, fitted.covariance - np.outer(errors.offset, errors.offset), rng)
-    slopes = site.slopes - moved @ errors.slope
+    slopes = at_task.slopes - moved @ errors.slope
     left = errors.mean + rng.standard_normal((TASK_DRAWS, len(errors.sd))) @ errors.spread.T
     smooth = np.einsum("nas,ks->kna", moved, left, optimize=True)
     smooth += errors.rest * rng.standard_normal(smooth.shape)
-    smooth += site.slopes @ errors.offset
+    smooth += at_task.slopes @ errors.offset
     return np.einsum("nap,kp->kna", slopes, off, optimize=True), smooth
 
 
