@@ -26,6 +26,7 @@ from calflow.deployment.figures_alone import (
     is_of_figures,
 )
 from calflow.design.candidates import candidates
+from calflow.effects import Effect
 from calflow.estimation.calibrated_model import CalibratedModel, expected_point
 from calflow.estimation.residual_field import NOT_PHYSICAL
 from calflow.files.deferred import Rotation
@@ -73,29 +74,6 @@ class NotExported:
     max_mm: float = column("largest position error without it", "mm")
 
 
-@dataclass(frozen=True)
-class Exported:
-    """A robot with calibrated figures in place of the maker's, and what these cannot hold.
-
-    nominal: the maker's robot; without: the cost of all that is left out, then of each effect alone.
-    """
-
-    robot: Robot
-    nominal: Robot
-    without: tuple[NotExported, ...]
-
-
-def refitted(calibrated: CalibratedModel, conditions: np.ndarray, levels: Levels) -> Exported:
-    """Return the robot with figures fitted alone, and its error by the whole model at packed rows (n_conditions, n)."""
-    others = levels.left_out
-    robot = replace(robot_of(levels.figures), expected=calibrated.model.robot.expected)
-    bare = Model(robot, (), calibrated.model.given).point(np.zeros(0), conditions)
-    names = list(dict.fromkeys(effect.id for effect in others)) + [FIELD] * bool(calibrated.field)
-    parts = dict.fromkeys(parameter.part for effect in others for parameter in effect.declared)
-    lost = cost_without(" and ".join(names), tuple(parts), expected_point(calibrated, conditions), bare)
-    return Exported(robot, calibrated.model.robot, (lost,))
-
-
 def robot_of(alone: FiguresAlone | CalibratedModel) -> Robot:
     """Return the robot with its fitted figures: those changed by the effects on lengths and angles."""
     robot, dimensions = alone.model.robot, nominal_dimensions(alone.model.robot)
@@ -128,29 +106,34 @@ def _angles(stands: np.ndarray) -> Vector:
     return vector(angles(Rotation.from_matrix(stands[:3, :3])))
 
 
-def exported(calibrated: CalibratedModel, conditions: np.ndarray) -> Exported:
-    """Return a calibrated model's robot, and the cost of leaving out other effects at packed rows (n_conditions, n)."""
+def cost_together(calibrated: CalibratedModel, robot: Robot, conditions: np.ndarray) -> tuple[NotExported, ...]:
+    """Return the cost, for a robot's figures, of leaving out all that they cannot hold at packed rows (n_conditions, n)."""
+    others = beyond_figures(calibrated.model)
+    names = list(dict.fromkeys(effect.id for effect in others)) + [FIELD] * bool(calibrated.field)
+    bare = _points(calibrated.model, robot, conditions)
+    return (cost_without(" and ".join(names), others, expected_point(calibrated, conditions), bare),)
+
+
+def cost_of_each(calibrated: CalibratedModel, robot: Robot, conditions: np.ndarray) -> tuple[NotExported, ...]:
+    """Return the cost of leaving out all that figures cannot hold, then of each effect alone; none where they hold all."""
     model, p = calibrated.model, calibrated.estimate
     others = beyond_figures(model)
-    robot = robot_of(calibrated)
     every = expected_point(calibrated, conditions)
-    bare = Model(robot, (), model.given).point(np.zeros(0), conditions)
-    costs = [cost_without(EVERYTHING, (), every, bare)]
+    costs = [cost_without(EVERYTHING, (), every, _points(model, robot, conditions))]
     for name in dict.fromkeys(effect.id for effect in others):
         of_name = [effect for effect in others if effect.id == name]
-        rest = [effect for effect in model.effects if effect not in of_name]
-        lean = replace(model, effects=tuple(rest))
+        lean = replace(model, effects=tuple(effect for effect in model.effects if effect not in of_name))
         without = lean.point(model.handed_on(p, lean), conditions)
-        parts = dict.fromkeys(parameter.part for effect in of_name for parameter in effect.declared)
-        costs.append(cost_without(name, tuple(parts), model.point(p, conditions), without))
+        costs.append(cost_without(name, of_name, model.point(p, conditions), without))
     if calibrated.field:
         costs.append(cost_without(FIELD, (), every, model.point(p, conditions)))
-    return Exported(robot, model.robot, tuple(costs) if others or calibrated.field else ())
+    return tuple(costs) if others or calibrated.field else ()
 
 
-def cost_without(name: str, parts: Sequence[str], every: np.ndarray, without: np.ndarray) -> NotExported:
-    """Return the cost of leaving a part out, from points (n, 3) [m] with and without it."""
+def cost_without(name: str, effects: Sequence[Effect], every: np.ndarray, without: np.ndarray) -> NotExported:
+    """Return the cost of leaving effects or another part out, from points (n, 3) [m] with and without it."""
     off = 1e3 * np.linalg.norm(every - without, axis=1)
+    parts = dict.fromkeys(parameter.part for effect in effects for parameter in effect.declared)
     return NotExported(effect=name, parts=tuple(parts), mean_mm=float(off.mean()), max_mm=float(off.max()))
 
 
@@ -267,11 +250,12 @@ def export(
     if to in CONTROLLER_FILES:
         return _controller_file(cast("Maker", to), levels, maker or calibrated.model.robot, beside or {})
     worth = (levels.words,) if levels else ()
+    figures: FiguresAlone | CalibratedModel = calibrated
+    cost = cost_of_each
     if levels and (levels.left_out or calibrated.field):
-        exported_robot, worth = refitted(calibrated, conditions, levels), (ANEW, *worth)
-    else:
-        exported_robot = exported(calibrated, conditions)
-    robot, lost = exported_robot.robot, exported_robot.without
+        figures, cost, worth = levels.figures, cost_together, (ANEW, *worth)
+    robot = replace(robot_of(figures), expected=calibrated.model.robot.expected)
+    lost = cost(calibrated, robot, conditions)
     if to == "dh":
         return Export(robot.toml_text(), (*worth, *_said(lost)), lost)
     if to == "controller":
@@ -279,15 +263,15 @@ def export(
             raise refuse(
                 "a controller's figures are of one arm, this robot has several: expected urdf, xacro-properties, json or dh"
             )
-        lost = lost if levels else (*lost, _zeros_alone(calibrated, exported_robot, conditions))
-        table = to_frame(controller_figures(maker or exported_robot.nominal, robot), ControllerFigure)
+        lost = lost if levels else (*lost, _zeros_alone(calibrated, robot, conditions))
+        table = to_frame(controller_figures(maker or calibrated.model.robot, robot), ControllerFigure)
         return Export(csv_text(table), (*worth, *_said(lost)), lost)
     chain, drives_of = rigid_chain(robot), [(drives or {}).get(joint.name, Drive()) for joint in robot.joints]
     more = {"ur-calibration": (HASH,), "urdf": said_of_drives(chain, drives_of)}.get(to, ())
     notes = (*worth, *_said(lost), *said_of_variables(robot), *more)
     heading = _heading(notes)
     writers: dict[str, Callable[[], str]] = {
-        "json": lambda: json_text(chain, {**_figures(calibrated, exported_robot), "notes": notes}),
+        "json": lambda: json_text(chain, {**_figures(calibrated, robot, lost), "notes": notes}),
         "mjcf": lambda: mjcf_text(chain, heading),
         "ur-calibration": lambda: driver_yaml(chain, [j.frame.figures.get("d", 0.0) for j in robot.joints], heading),
         "urdf": lambda: urdf_text(chain, heading, drives_of),
@@ -328,29 +312,30 @@ def _anywhere(model: Model) -> np.ndarray:
     return conditions
 
 
-def _figures(calibrated: CalibratedModel, exported: Exported) -> dict[str, Any]:
+def _figures(calibrated: CalibratedModel, robot: Robot, lost: Sequence[NotExported]) -> dict[str, Any]:
     """Return the content of JSON besides the chain."""
     sds = np.sqrt(np.diag(calibrated.covariance))
     parameters = [
         {"parameter": of.name, "effect": of.effect, "unit": of.unit, "estimate": float(value), "sd": float(sd)}
         for of, value, sd in zip(calibrated.model.parameters, calibrated.estimate, sds, strict=True)
     ]
-    left_out = [asdict(loss) for loss in exported.without]
-    return {"figures": json.loads(exported.robot.canonical()), "parameters": parameters, "left_out": left_out}
+    left_out = [asdict(loss) for loss in lost]
+    return {"figures": json.loads(robot.canonical()), "parameters": parameters, "left_out": left_out}
 
 
 def _heading(notes: Sequence[str]) -> str:
     return "; ".join(("calibrated figures, SI units", *notes))
 
 
-def _zeros_alone(calibrated: CalibratedModel, exported: Exported, conditions: np.ndarray) -> NotExported:
+def _zeros_alone(calibrated: CalibratedModel, robot: Robot, conditions: np.ndarray) -> NotExported:
     """Return the cost where a controller takes joint zeros, base and tool, but keeps its lengths and twists."""
+    model = calibrated.model
     joints = tuple(
         replace(mine, frame=replace(mine.frame, turn=theirs.frame.turn))
-        for mine, theirs in zip(exported.nominal.joints, exported.robot.joints, strict=True)
+        for mine, theirs in zip(model.robot.joints, robot.joints, strict=True)
     )
-    zeros = replace(exported.robot, joints=joints, loop=exported.nominal.loop)
-    with_all, without = (_points(calibrated.model, robot, conditions) for robot in (exported.robot, zeros))
+    zeros = replace(robot, joints=joints, loop=model.robot.loop)
+    with_all, without = (_points(model, one, conditions) for one in (robot, zeros))
     return cost_without(ALL_BUT_ZEROS, (), with_all, without)
 
 
