@@ -595,7 +595,8 @@ def find_workflow(name: str, study: Path) -> Path:
         message = (
             f"unknown workflow '{name}'; there are {', '.join(workflows)}{nearest(name, workflows)}"
             if workflows
-            else f"calflow's own workflows are not in {workflow_folder()}: install calflow again, or state a file that ends in .toml"
+            else f"calflow's own workflows are not in {workflow_folder()}: install calflow again, "
+            "or state a file that ends in .toml"
         )
         raise Origin.of(study).refuse(message, "workflow")
     return path
