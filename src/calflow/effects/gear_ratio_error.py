@@ -1,26 +1,53 @@
-"""Gear ratio error: a joint whose motion is a constant multiple of its reading."""
+"""Gear ratio error: a joint whose motion is a constant multiple of its reading, or one that grows as its rack does."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Self
 
-from calflow.effects.base import JOINT_ALONE, TRANSMISSION, JointError, Term, Words
+import casadi as ca
+
+from calflow.effects.base import JOINT_ALONE, NEEDS, JointError, Term, Words
+from calflow.effects.warming import REFERENCE
+from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Row, State
+from calflow.robot.robot import Robot
+
+WARMER = 10.0  # K above 20 degC at which a temperature-dependent excess is stated
+EXPANSION_SD = 2e-4  # m/m in these: twice steel's
 
 
 @dataclass(frozen=True)
 class GearRatioError(JointError):
-    """dq = kappa q."""
+    """dq = kappa q, or of a slide, whose rack or scale grows, with warm, dq = kappa q · (T - 20 degC) / 10 K in addition."""
+
+    warm: bool = False
 
     id = "gear-ratio-error"
     title = "gear ratio error"
     words = Words("gear ratio error", "the joint turns more, or less, than its reading says", "excess")
-    family = TRANSMISSION
     readable = {"1": (1e6, "µrad/rad")}
+    side_by_side = True
     told_by = JOINT_ALONE
 
+    @classmethod
+    def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
+        """Return the constant ratio, and that of a slide that grows with the temperature, where it changes."""
+        grows = data.temperature_changes and NEEDS["slide"].met(robot, ())
+        return (cls(robot), cls(robot, warm=True)) if grows else (cls(robot),)
+
+    @property
+    def detail(self) -> str:
+        """What it grows with."""
+        return "with the temperature, 10 K above 20 degC" if self.warm else ""
+
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
-        """Return the joint's angle, or a prismatic joint's position."""
-        unit = "1" if self.unit(joint) == "rad" else "m/m"
-        return [Term("kappa", unit, 1e-3, 0.1, state.q[joint])]
+        """Return the joint's angle, or a prismatic joint's position, times the warmth."""
+        if not self.warm:
+            unit = "1" if self.unit(joint) == "rad" else "m/m"
+            return [Term("kappa", unit, 1e-3, 0.1, state.q[joint])]
+        if self.robot.joints[joint].kind != "prismatic":
+            return []
+        warmth = (row.temperature - REFERENCE) / WARMER if row.temperature.nnz() else ca.SX(0)
+        return [Term("kappa", "m/m", EXPANSION_SD, 0.01, warmth * state.q[joint])]
