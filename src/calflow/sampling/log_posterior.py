@@ -20,7 +20,7 @@ from calflow.estimation.fit import expansion, fit
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import averaged
 from calflow.measurements.measurements import Measurements
-from calflow.model import compiled, over_rows
+from calflow.model import compiled, over_points
 
 if TYPE_CHECKING:
     from emcee.moves import Move
@@ -292,11 +292,14 @@ def _sum_of_squares(problem: LeastSquares) -> Squares:
         row = ca.Function("residual", inputs, [residual])
         rows.append((block, compiled(row, EXPECTED_EVALUATIONS * len(block.rows))))
 
-    def squares(p: np.ndarray) -> float:
-        errors = (block.sharing.decorrelated(over_rows(row, p, *block.data)[0].T) for block, row in rows)
-        return sum(float(np.vdot(error, error)) for error in errors)
+    def squares(values: np.ndarray) -> np.ndarray:
+        found = np.zeros(values.shape[1])
+        for block, row in rows:
+            errors = map(block.sharing.decorrelated, over_points(row, values.T, *block.data))
+            found += [np.vdot(error, error) for error in errors]
+        return found
 
-    return lambda values: np.array([squares(p) for p in values.T])
+    return squares
 
 
 def log_posterior_of(calibrated: CalibratedModel, data: Measurements) -> tuple[LogPosterior, Laplace]:
