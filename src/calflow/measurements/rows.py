@@ -213,15 +213,14 @@ def check_header(columns: Sequence[ReadColumn], layout: Layout, robot: Robot, co
     ]
     oriented = not conditions_only and layout.reports.measured and bool({"rx", "qw"} & names.keys())
     unsure = layout.sigma_rotation is None and "sigma_rotation" not in names
-    of_orientations = {
+    turns = {
         "has measured orientations, but the robot file does not say how the tool is turned: expected "
         "tool_rotation_deg (or _rad) = [rx, ry, rz] there": oriented and robot.tool_rotation is None,
         "has measured orientations, but not how sure they are: expected a column sigma_rotation_mrad (or _rad, "
         "_deg), or sigma_rotation_mrad = … in the study's [measurements]": oriented and unsure,
         "has orientations twice, as rx, ry, rz and as a quaternion: expected one of them": {"rx", "qw"} <= names.keys(),
     }
-    messages = (*twice, *(message for message, applies in of_orientations.items() if applies))
-    return list(dict.fromkeys((*unknown, *missing, *messages)))
+    return list(dict.fromkeys((*unknown, *missing, *twice, *(words for words, true in turns.items() if true))))
 
 
 Columns = Mapping[tuple[str, str], ReadColumn]  # by name and marker
