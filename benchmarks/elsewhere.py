@@ -12,8 +12,8 @@ there, the others judged, or by all. Intervals of what a placement leaves are wo
 their covariance, all else for independent from row to row. Worst is calibrated over nominal (placed alike), rms, in the worst of
 eight regions; promise is the pooled standard deviation over the pooled error. `later` tells of what the device sees then, without
 noise: a frame that walks at random (device), an arm that warms up and cools in pauses (warm-up), or both; `later-otherwise` has
-joint zeros that go by its warmth, and a device whose scale about its stand walks; framed is what intervals
-cover where the device's frame is fitted anew at that hour. The FANUC is split by
+joint zeros that go by its warmth, and a device whose scale about its stand walks; each case is judged by CONTINUED walks after
+the same measurement. framed is what intervals cover where the device's frame is fitted anew at that hour. The FANUC is split by
 joint 2: joint 1 stood still in all but three of its 24 poses. What is promised of a measurement is of another one, in which the
 device wanders otherwise; both halves of UR5 and FANUC are of one, so that they are judged without that as well (wander: this).
 """
@@ -362,6 +362,7 @@ WANDERS = ("device", "warm-up", "both")
 OTHER_WANDERS = ("zeros", "scale")
 OFF = 1.5 * HOUR
 MEASURED, EACH = 120, 60  # poses to calibrate by, and to predict at each time ahead
+CONTINUED = 24  # walks after the measurement: what one comes to in a day says little of its promise
 
 
 def work_later(place: Place, wanders: tuple[str, ...] = WANDERS) -> list[Row]:
@@ -377,18 +378,19 @@ def work_later(place: Place, wanders: tuple[str, ...] = WANDERS) -> list[Row]:
     block = np.repeat(np.arange(len(AHEAD) + 1), [MEASURED, *[EACH] * len(AHEAD)])
     here = block == 0
     seen = _wandering(worn(arm, rng), rows, size * sigma, wander, rng)
-    noisy = seen + sigma * rng.standard_normal(seen.shape)
+    noisy = seen[0] + sigma * rng.standard_normal(seen[0].shape)
     known = _calibrated(place, arm, rows.only(here), noisy[here], sigma, columns=("approach", "time"))
-    nominal, found = _replaced(seen, points(arm, rows), _turns(arm, rows), rows.marker, here), []
+    nominal, found = _replaced(seen[0], points(arm, rows), _turns(arm, rows), rows.marker, here), []
     for stage, calibration in stages(known).items():
         told = _told(calibration) if calibration.diagnosed else {}
         for k, ahead in enumerate(AHEAD, start=1):
             those = block == k
             at = predicted(calibration, rows.only(those), timed=True)
-            error = at.position - seen[those]
+            error = at.position - seen[:, those]
             row: Row = {"arm": arm.name, "wander": wander, "size": size, "stage": stage, "ahead_h": ahead}
             row |= {"converged": calibration.fit_summary.converged, "framed": _framed(error, at)}
-            found.append(row | told | promised(error, at.sd, nominal[those], seen[those]))
+            sd, wrong = (np.tile(values, (CONTINUED, 1)) for values in (at.sd, nominal[those]))
+            found.append(row | told | promised(error.reshape(-1, 3), sd, wrong, seen[:, those].reshape(-1, 3)))
     return found
 
 
@@ -400,23 +402,23 @@ def _told(calibration: cf.Calibration) -> Row:
 
 
 def _framed(error: Array, at: Prediction) -> float:
-    """The share of coordinates within their 95 % intervals where the device's frame is fitted anew at that hour."""
-    design = _placing(at.position, np.zeros((len(error), 3, 3)), np.zeros(len(error)))[:, :6]
-    left = error.ravel() - design @ np.linalg.lstsq(design, error.ravel())[0]
-    return float(np.mean(np.abs(left) < WITHIN * at.sd.ravel()))
+    """The share of errors (CONTINUED, rows, 3) within their 95 % intervals where the device's frame is fitted anew at that hour."""
+    rows, each = len(at.position), error.reshape(len(error), -1).T
+    design = _placing(at.position, np.zeros((rows, 3, 3)), np.zeros(rows))[:, :6]
+    left = each - design @ np.linalg.lstsq(design, each)[0]
+    return float(np.mean(np.abs(left) < WITHIN * at.sd.reshape(-1, 1)))
 
 
 def _wandering(real: Arm, rows: Rows, size: float, wander: str, rng: np.random.Generator) -> Array:
-    """Points (rows, 3) of an arm whose links or zeros go by its warmth, seen by a device whose frame or scale walks at random.
+    """Points (CONTINUED, rows, 3) of an arm whose links or zeros go by its warmth, seen by a device whose frame or scale walks.
 
     size is each one's rms per axis over the measured rows [m].
     """
     there = points(real, rows)
-    ticks = np.sqrt(np.diff(rows.time, prepend=rows.time[0]))[:, None]
     moves = []
     if wander in ("device", "both"):
-        walk = np.cumsum(ticks * rng.standard_normal((len(rows), 6)), axis=0)
-        moves.append(walk[:, :3] + np.cross(walk[:, 3:] / 3.0, there))
+        walk = _walks(rows, 6, rng)
+        moves.append(walk[..., :3] + np.cross(walk[..., 3:] / 3.0, there))
     if wander in ("warm-up", "both"):
         warm = _warmth(rows, rng)
         grown = replace(real, a=real.a * (1 + 1e-6 * warm * rng.uniform(0.3, 1.5, real.n)),
@@ -428,9 +430,19 @@ def _wandering(real: Arm, rows: Rows, size: float, wander: str, rng: np.random.G
     if wander == "scale":
         at = rng.uniform(0, 2 * np.pi)
         stand = rng.uniform(2, 4) * np.array([np.cos(at), np.sin(at), 0.3])
-        moves.append((there - stand) * np.cumsum(ticks * rng.standard_normal((len(rows), 1)), axis=0))
-    sizes = (_rms((moved - moved[:MEASURED].mean(axis=0))[:MEASURED]) for moved in moves)
-    return there + sum(size * moved / whole for moved, whole in zip(moves, sizes, strict=True))
+        moves.append((there - stand) * _walks(rows, 1, rng))
+    measured = (moved.reshape(-1, *there.shape)[0, :MEASURED] for moved in moves)
+    sizes = (_rms(moved - moved.mean(axis=0)) for moved in measured)
+    seen = there + sum(size * moved / whole for moved, whole in zip(moves, sizes, strict=True))
+    return np.broadcast_to(seen, (CONTINUED, *there.shape))
+
+
+def _walks(rows: Rows, n: int, rng: np.random.Generator) -> Array:
+    """Random walks (CONTINUED, rows, n) that are one while it is measured."""
+    steps = np.repeat(rng.standard_normal((1, len(rows), n)), CONTINUED, axis=0)
+    further = steps[1:, MEASURED:]
+    further[:] = rng.spawn(1)[0].standard_normal(further.shape)
+    return np.cumsum(np.sqrt(np.diff(rows.time, prepend=rows.time[0]))[:, None] * steps, axis=1)
 
 
 def _warmth(rows: Rows, rng: np.random.Generator) -> Array:
