@@ -36,6 +36,16 @@ def test_friction_with_and_without_load_are_both_found(tmp_path) -> None:
     assert set(seen.causes["joint"]) == {3}
 
 
+def test_play_and_a_hardening_spring_of_a_joint_are_one_curve_of_its_torque(tmp_path) -> None:
+    """Breaks if data that show their sum alone are said to show both for certain, or if the model loses one of them."""
+    hidden = Hidden("nonlinear-joint-stiffness", 2, 2e-3), Hidden("torque-backlash", 2, 6e-4)
+    seen = found(tmp_path, case("serial", *hidden, poses=160), 11)
+    assert len(seen.causes) == 1, seen.causes
+    assert (seen.causes.iloc[0]["status"], seen.causes.iloc[0]["numbers"]) == ("one_of", "1;2")
+    assert {h.cause for h in hidden} <= seen.could_be(0)
+    assert seen.causes.iloc[0]["family_probability"] > 0.99
+
+
 FORMS = {
     "spring": (Hidden("spring-compensator", 2, 2e4), "gravity-compensator"),
     "crooked link": (Hidden("oblique-beam", 2, 1e-7), "link-bending"),
