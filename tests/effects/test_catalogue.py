@@ -36,7 +36,7 @@ VARIANTS = {  # how many forms there are to try, where not one
     "tool-sag": 3,
     "base-tilt": 3,
     "thermal-growth": 10,
-    "housing-growth": 5,
+    "housing-growth": 10,
     "frame-drift": 6,
     "session-frame": 8,
 }
@@ -217,6 +217,7 @@ def test_what_grows_on_its_own_is_as_little_as_can_be_told(benches: dict[str, Be
     assert parts("thermal-growth") == ["links"]
     assert parts("thermal-growth", apart=True) == ["link1", "link2", "link3", "link4", "link6"]
     assert parts("housing-growth") == ["joint2", "joint5"]
+    assert parts("housing-growth", turning=True) == [f"joint{k}" for k in range(1, 7)]
 
 
 def without(data: Measurements, *conditions: str) -> Measurements:

@@ -62,9 +62,16 @@ def housing_growth(h: Hidden, robot: Robot, rows: Rows) -> Robot:
     return replace(robot, d=d)
 
 
+def warm_zero(h: Hidden, robot: Robot, rows: Rows) -> Robot:
+    """One joint's zero turns by size [rad] a kelvin, or with extra "warm-up" by size in the end."""
+    theta = np.tile(robot.theta, (len(rows), 1))
+    theta[:, h.joint - 1] += h.size * _warm(h, rows)
+    return replace(robot, theta=theta)
+
+
 def _warm(h: Hidden, rows: Rows) -> Array:
     return 1 - np.exp(-rows.time / WARM_UP) if h.extra == "warm-up" else rows.temperature - 20
 
 
-ON_ROBOT = {"link-growth": link_growth, "housing-growth": housing_growth}
+ON_ROBOT = {"link-growth": link_growth, "housing-growth": housing_growth, "warm-zero": warm_zero}
 ON_DEVICE = {"session-frame": session_frame, "wander": wander}

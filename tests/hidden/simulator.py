@@ -246,7 +246,7 @@ def frames(robot: Robot, q: Array, motion: Motion) -> Frames:
             closure = close(loop, ground, tip[:, 0, 3] + 1j * tip[:, 1, 3], angle)
             found = replace(found, closure=closure, bars=_bar_frames(loop, closure))
             angle = np.angle(closure.rocker * np.conj(tip[:, 0, 0] + 1j * tip[:, 1, 0])) + loop.offset
-        joint = before @ turned(2, robot.theta[i] + angle)
+        joint = before @ turned(2, robot.theta[..., i] + angle)
         link = joint @ tilted(motion.bearing[:, i]) @ shifted(z=robot.d[..., i])
         far = link if i == robot.n - 1 else link @ shifted(robot.a[..., i + 1])
         at = far @ placed(motion.tip[:, i])

@@ -18,6 +18,7 @@ EVERY: dict[str, tuple[Case, str]] = {
     "frame-drift that wanders": (case("serial", Hidden("wander", 0, 1.2e-4), columns=CLOCK), "wandering"),
     "thermal-growth of one link": (case("serial", Hidden("link-growth", 2, 3e-4, "warm-up"), columns=CLOCK), "link 2"),
     "housing-growth": (case("serial", Hidden("housing-growth", 2, 3e-5), columns=("approach", "temperature")), "joint 2"),
+    "housing-growth of a zero": (case("serial", Hidden("warm-zero", 2, 3e-5), columns=("approach", "temperature")), "turning its zero"),
 }  # fmt: skip
 
 

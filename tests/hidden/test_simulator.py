@@ -50,6 +50,7 @@ USUAL = {
     "thermal-growth": (0, 12e-6, ""),
     "link-growth": (2, 2e-5, ""),
     "housing-growth": (2, 3e-5, ""),
+    "warm-zero": (2, 1e-5, ""),
     "session-frame": (0, 3e-4, ""),
     "wander": (0, 1.2e-4, ""),
     "tool-sag": (0, 1e-4, ""),

@@ -1,8 +1,10 @@
-"""Housing growth: thermal expansion of a joint's housing along its axis as the motor inside warms up."""
+"""Housing growth: thermal expansion of a joint's housing, along its axis or turning its zero, as the motor inside warms up."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Self
 
 import casadi as ca
 
@@ -14,45 +16,68 @@ from calflow.robot.mechanism import Dimensions, Row
 from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
 
-EXPANSION_SD, GROWTH_SD, BOUND = 1e-5, 1e-4, 50.0  # m/K, m after warm-up, and standard deviations
+EXPANSION_SD, GROWTH_SD, BOUND = 1e-5, 1e-4, 50.0  # m or rad per K, m or rad after warm-up, and standard deviations
 
 
 @dataclass(frozen=True)
 class HousingGrowth(Warming):
-    """Offset along a joint's axis + h (T - 20 degC), or + h (1 - exp(-t / constant)).
+    """Offset along a joint's axis + h (T - 20 degC), or + h (1 - exp(-t / constant)); with turning, the joint's zero instead.
 
-    A long offset is a link's length (see `thermal_growth`); along nearly parallel axes the offsets are indistinguishable.
+    A long offset is a link's length (see `thermal_growth`); along nearly parallel axes the offsets are indistinguishable. A
+    casting that is warmer on one side bends, and turns all that it carries.
     """
+
+    turning: bool = False
 
     id = "housing-growth"
     title = "growth of a joint's housing"
     words = Words(
-        "growth of the housing", "the joint's housing grows along its axis as the motor in it warms up", "growth"
+        "growth of the housing",
+        "the joint's housing grows as the motor in it warms up, along its axis or unevenly",
+        "growth",
     )
 
-    readable = {"m": (1e6, "µm"), "m/K": (1e6, "µm per °C")}
+    readable = {"m": (1e6, "µm"), "m/K": (1e6, "µm per °C"), "rad/K": (1e6, "µrad per °C")}
+
+    @classmethod
+    def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
+        """Return growth along the axes where joints have such offsets, and that which turns the joints' zeros."""
+        every = super().variants(robot, data)
+        turning = tuple(replace(growth, turning=True) for growth in every)
+        return tuple(growth for growth in (*every, *turning) if growth._steps)
 
     @classmethod
     def unfit(cls, robot: Robot, data: Measurements) -> str:
-        """Return what is missing where no joint has such an offset."""
-        return "" if _offsets(robot) else "an offset along a joint's axis"
+        """Return what is missing where no joint turns."""
+        return "" if _zeros(robot) else "a joint that turns"
+
+    @property
+    def detail(self) -> str:
+        """What it grows with, and whether it turns the joint."""
+        return f"turning its zero, {super().detail}" if self.turning else super().detail
+
+    @property
+    def _steps(self) -> Mapping[int, int]:
+        """Indices of the steps that grow, by index of the joint."""
+        return _zeros(self.robot) if self.turning else _offsets(self.robot)
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return each housing's growth."""
-        unit, sd = ("m", GROWTH_SD) if self.constant else ("m/K", EXPANSION_SD)
+        unit = ("rad" if self.turning else "m") + ("" if self.constant else "/K")
+        sd = GROWTH_SD if self.constant else EXPANSION_SD
         return tuple(
             Parameter(self.id, f"joint{joint + 1}", "h", unit, sd, -BOUND * sd, BOUND * sd, joint=joint + 1,
                       meaning=f"growth of the housing of joint {joint + 1}")
-            for joint in _offsets(self.robot)
+            for joint in self._steps
         )  # fmt: skip
 
     def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
-        """Return the dimensions with the offsets lengthened."""
+        """Return the dimensions with the offsets lengthened, or the zeros turned."""
         warmth = self.warmth(row)
         if not warmth.nnz():
             return dims
         steps = ca.SX(dims.steps)
-        for k, (_, step) in enumerate(_offsets(self.robot).items()):
+        for k, step in enumerate(self._steps.values()):
             steps[step] = dims.steps[step] + p[k] * warmth
         return replace(dims, steps=steps)
 
@@ -65,3 +90,9 @@ def _offsets(robot: Robot) -> dict[int, int]:
         if joint.kind == "revolute" and offset and place in offset.free and abs(offset.value) < SHORTEST:
             steps[i] = robot.step_index(i, offset.symbol)
     return steps
+
+
+def _zeros(robot: Robot) -> dict[int, int]:
+    """Return the zeros of the joints that turn: index of the step by index of the joint."""
+    turning = [i for i, joint in enumerate(robot.joints) if joint.kind == "revolute"]
+    return {i: robot.step_index(i, robot.joints[i].frame.turn.symbol) for i in turning}
