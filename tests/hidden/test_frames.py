@@ -11,14 +11,15 @@ from hidden.causes import Hidden
 from hidden.test_hidden import CLOCK, case, found
 
 DAYS = (*CLOCK, "session")
+WARM = ("approach", "temperature")
 ONE_MOVE = Hidden("session-frame", 0, 2e-4, 3)
 EVERY: dict[str, tuple[Case, str]] = {
     "session-frame": (case("serial", Hidden("session-frame", 0, 3e-4), columns=DAYS, poses=90), "each session"),
     "session-frame of one move": (case("hh800", ONE_MOVE, columns=DAYS, poses=90), "from session day 3 on"),
     "frame-drift that wanders": (case("serial", Hidden("wander", 0, 1.2e-4), columns=CLOCK), "wandering"),
     "thermal-growth of one link": (case("serial", Hidden("link-growth", 2, 3e-4, "warm-up"), columns=CLOCK), "link 2"),
-    "housing-growth": (case("serial", Hidden("housing-growth", 2, 3e-5), columns=("approach", "temperature")), "joint 2"),
-    "housing-growth of a zero": (case("serial", Hidden("warm-zero", 2, 3e-5), columns=("approach", "temperature")), "turning its zero"),
+    "housing-growth": (case("serial", Hidden("housing-growth", 2, 3e-5), columns=WARM), "joint 2"),
+    "housing-growth of a zero": (case("serial", Hidden("warm-zero", 2, 3e-5), columns=WARM), "turning its zero"),
 }  # fmt: skip
 
 

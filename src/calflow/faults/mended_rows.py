@@ -1,7 +1,7 @@
 """Mended rows: gross outliers that exactly one definite correction brings into agreement with the other rows.
 
-A position in metres or inches among millimetres, a reading or all of a row in radians among degrees, or two exchanged positions, of two
-markers of one pose or of two poses.
+A position in metres or inches among millimetres, a reading or all of a row in radians among degrees, or two exchanged
+positions, of two markers of one pose or of two poses.
 """
 
 from __future__ import annotations
