@@ -326,6 +326,12 @@ class Model:
         """The free parameters, part by part."""
         return tuple(parameter for parameter in self.declared if parameter.held is None)
 
+    @property
+    def afterwards(self) -> Model:
+        """The model for rows measured later (see `Effect.afterwards`)."""
+        later = tuple(effect.afterwards for effect in self.effects)
+        return self if later == self.effects else replace(self, effects=later)
+
     def columns(self, part: Observation | Effect) -> np.ndarray:
         """Return the indices of the free parameters of an observation or effect; ValueError if it is not in the model."""
         span = self._spans[self.parts.index(part)]

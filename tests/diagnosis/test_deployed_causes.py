@@ -28,7 +28,7 @@ class Named(str):
 
     __slots__ = ()
 
-    def of_device(self) -> bool:
+    def of_measuring(self) -> bool:
         """Whether it is."""
         return self.isupper()
 

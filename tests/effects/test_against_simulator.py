@@ -154,7 +154,7 @@ def conventions() -> Callable[[str], list[np.ndarray]]:
         found.append((model, position))
     conditions = packed_conditions(found[0][0], q, "load", "E")
     rest = [rng.choice([-1.0, 1.0], (6, 20)), rng.uniform(0, 1, (6, 20)), rng.uniform(0, 7e3, (1, 20)),
-            rng.uniform(290, 310, (1, 20)), np.arange(20.0)[None]]  # fmt: skip
+            rng.uniform(290, 310, (1, 20)), np.arange(1.0, 21.0)[None] / 20]  # fmt: skip
     conditions[-15:] = np.vstack(rest)
 
     def points(name: str) -> list[np.ndarray]:

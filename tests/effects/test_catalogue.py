@@ -18,7 +18,7 @@ from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import condition_columns, numbered
 from calflow.measurements.series import Series, Station
 from effects.bench import ROBOTS, Bench, made, waves
-from effects.twins import SHARED
+from effects.twins import SHARED, STEPS
 
 VARIANTS = {  # how many forms there are to try, where not one
     "base-compliance": 2,
@@ -55,7 +55,7 @@ def test_variants_are_distinct_and_told_apart(full: Measurements, name: str) -> 
     """Breaks if one form is tried twice, two forms are called alike, or one of several has no words of its own."""
     variants = catalogue()[name].variants(full.robot, full)
     assert all(type(effect) is catalogue()[name] and effect.robot == full.robot for effect in variants)
-    if name in SHARED - {"periodic-joint-error", "frame-step"}:
+    if name in SHARED - {"periodic-joint-error"} - STEPS:
         assert len(variants) == VARIANTS.get(name, 1)
     assert len({figures(effect) for effect in variants}) == len(variants)
     details = {effect.detail for effect in variants}
@@ -66,8 +66,8 @@ def test_variants_are_distinct_and_told_apart(full: Measurements, name: str) -> 
         assert names
         assert len(set(names)) == len(names)
     if name not in (
+        *STEPS,
         "periodic-joint-error",
-        "frame-step",
         "torque-backlash",
         "loaded-transmission-error",
         "gravity-compensator",
@@ -175,29 +175,32 @@ def test_orders_are_scanned_without_gaps(full: Measurements) -> None:
     assert min(effect.order for effect in variants[0].finer(full)) > 2  # below is eccentricity
 
 
-def test_every_moment_of_a_step_is_within_reach(full: Measurements) -> None:
+@pytest.mark.parametrize("name", sorted(STEPS))
+def test_every_moment_of_a_step_is_within_reach(full: Measurements, name: str) -> None:
     """Breaks if moments that a long scan leaves out are not tried about the best one, or lie at a row."""
-    order = full.table["order"].to_numpy()
-    variants = catalogue()["frame-step"].variants(full.robot, full)
-    turned = np.array([effect.turning for effect in variants])
-    moments = np.array([effect.moment for effect in variants])
-    assert len(moments[~turned]) <= 120 < len(order)
-    assert 0 < len(moments[turned]) <= 40
-    assert not np.isin(moments, order).any()
-    fewest = [(order < moments.min()).sum(), (order > moments.max()).sum()]
-    assert min(fewest) >= 3
-    for turning in (False, True):
-        reached = {e.moment for variant in variants if variant.turning == turning for e in variant.finer(full)}
+    order, kind = full.table["order"].to_numpy(), catalogue()[name]
+    variants = kind.variants(full.robot, full)
+    turning = {getattr(effect, "turning", False) for effect in variants}
+    assert turning == ({False, True} if name == "frame-step" else {False})  # one marker does not show a tool's rotation
+    for turned in turning:
+        scan = [effect for effect in variants if getattr(effect, "turning", False) == turned]
+        moments = np.array([effect.moment for effect in scan])
+        assert 0 < len(moments) <= 40 < len(order)
+        assert not np.isin(moments, order).any()
+        assert min((order < moments.min()).sum(), (order > moments.max()).sum()) >= 3
+        reached = {effect.moment for variant in scan for effect in variant.finer(full)}
         change = np.flatnonzero(full.table["session"].iloc[1:].to_numpy() != full.table["session"].iloc[:-1].to_numpy())
         assert len(change) == 3
         borders = {*(order[change] + 0.5)}
         assert reached >= {*np.arange(order.min() + 2.5, order.max() - 2.5)} - borders
         assert not reached & borders  # a change between sessions is a session's frame
-    assert all(effect.turning == variant.turning for variant in variants for effect in variant.finer(full))
+        assert {replace(effect, moment=0.0) for variant in scan for effect in variant.finer(full)} == {
+            replace(scan[0], moment=0.0)
+        }
     short = full.only(np.arange(len(full)) < 20)
-    every = catalogue()["frame-step"].variants(short.robot, short)
-    assert len(every) == 2 * (20 - 2 * 3 + 1)
-    assert catalogue()["frame-step"].variants(short.robot, full.only(np.arange(len(full)) < 5)) == ()
+    every = kind.variants(short.robot, short)
+    assert len(every) == len(turning) * (20 - 2 * 3 + 1)
+    assert kind.variants(short.robot, full.only(np.arange(len(full)) < 5)) == ()
 
 
 def test_thermal_growth_goes_with_what_was_measured(full: Measurements) -> None:
@@ -261,7 +264,7 @@ LACKING: list[tuple[str, Callable[[Measurements], Measurements], str]] = [
     ("session-frame", lambda data: without(data, "session"), "column session"),
     ("session-frame", lambda data: data.only((data.table["session"] == "tue").to_numpy()), "two sessions"),
     ("session-frame", lambda data: replace(data, series=(Series(station=Station(by_session=True)),)), "by_session"),
-    ("frame-step", lambda data: without(data, "order"), "measuring order"),
+    *((name, lambda data: without(data, "order"), "measuring order") for name in sorted(STEPS)),
     ("range-noise", lambda data: without(data, "range"), "tracker_mm"),
     ("joint-error-map", lambda data: data.only(np.arange(len(data)) < 50), "readings per 0.05 rad"),
     ("axis-straightness", lambda data: data, "prismatic joint"),

@@ -298,5 +298,5 @@ def test_a_cause_is_the_devices_where_its_effect_is(name: str) -> None:
     for part in {parameter.part for parameter in effect.declared}:
         cause = Cause(effect.robot, effect, part)
         carried = Carried(effect.robot, cause, (0.0,) * cause.n_parameters)
-        assert {one.of_device() for one in (effect, cause, carried)} == {type(effect).of_device()}
+        assert {one.of_measuring() for one in (effect, cause, carried)} == {type(effect).of_measuring()}
         assert {one.is_noise() for one in (effect, cause, carried)} == {type(effect).is_noise()}

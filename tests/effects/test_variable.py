@@ -13,7 +13,7 @@ from calflow.effects import catalogue
 from calflow.model import Model, over_rows
 from calflow.robot.mechanism import Deflection, Row, nominal_dimensions, nominal_loads, state
 from effects.bench import ROBOTS, Bench, made
-from effects.twins import SHARED
+from effects.twins import SHARED, STEPS
 
 ANGLE = lambda bench, joint: np.rad2deg(bench.rows.q[:, joint - 1])  # noqa: E731
 TORQUE = lambda bench, joint: bench.still.torque[:, joint - 1]  # noqa: E731
@@ -53,7 +53,7 @@ AGAINST: dict[str, tuple[str, Callable[[Bench, int], np.ndarray]]] = {
     **dict.fromkeys(("payload-mass", "payload-com", "tool-deflection"), ("kg", LOAD)),
     **dict.fromkeys(("thermal-growth", "housing-growth"), ("K", lambda bench, joint: bench.rows.temperature - 20)),
     "frame-drift": ("h", HOURS),
-    **dict.fromkeys(("frame-step", "session-frame", "tracker-scale", "marker-place", "range-noise", "geometry"),
+    **dict.fromkeys((*STEPS, "session-frame", "tracker-scale", "marker-place", "range-noise", "geometry"),
                     ("", PLACE)),
 }  # fmt: skip
 

@@ -16,6 +16,7 @@ from calflow.robot.mechanism import Row, State
 from effects.bench import SESSIONS, Bench, made
 from hidden import forms
 from hidden.causes import ARM, COLUMN, WARM_UP, Hidden, base_tilt, gravity_compensator
+from hidden.frame_causes import stepped
 from hidden.random_functions import direction
 from hidden.simulator import Rows
 from hidden.tool_causes import LENGTH
@@ -268,27 +269,31 @@ def frame_from_a_session_on(bench: Bench) -> Twin:
     return Twin(effect, dict(zip(("sessions.x", "sessions.y", "sessions.z"), shift, strict=True)), stood)
 
 
-def step(bench: Bench) -> Twin:
-    """The simulator's moment is a time, calflow's a place in measuring order."""
-    hidden = Hidden("frame-step", 0, 2e-4, seed=6)
-    rng = hidden.rng
-    before = bench.rows.time <= rng.uniform(0.25, 0.75) * bench.rows.time.max()
-    moment = float(bench.table.table["order"][before].max()) + 0.5
-    shift = hidden.size * direction(rng)
-    values = dict(zip(("device.x", "device.y", "device.z"), shift, strict=True))
-    return Twin(made(bench, hidden.cause, moment=moment), values, hidden)
+def step(cause: str, part: str, joint: int = 0) -> Callable[[Bench], Twin]:
+    """The simulator's moment is a time, calflow's a place in measuring order; a shift is in a drawn direction."""
+    hidden = Hidden(cause, joint, 2e-4, "before", seed=6)
+
+    def twin(bench: Bench) -> Twin:
+        rng = hidden.rng
+        before = stepped(hidden, rng, bench.rows) < 0
+        moment = float(bench.table.table["order"][before].max()) + 0.5
+        shift = {"jump": hidden.size} if joint else dict(zip("xyz", hidden.size * direction(rng), strict=True))
+        return Twin(made(bench, cause, moment=moment), {f"{part}.{name}": size for name, size in shift.items()}, hidden)
+
+    return twin
 
 
 def turning_step(bench: Bench) -> Twin:
     """The simulator's device does not turn: written here."""
     turn = np.array([2e-5, -3e-5, 5e-5])
     moment = float(np.median(bench.table.table["order"])) + 0.25
-    after = bench.table.table["order"].to_numpy() > moment
-    turned = lambda point, rows: point + after[:, None] * np.cross(turn, point)  # noqa: E731
+    before = bench.table.table["order"].to_numpy() < moment
+    turned = lambda point, rows: point - before[:, None] * np.cross(turn, point)  # noqa: E731
     values = dict(zip(("device.rx", "device.ry", "device.rz"), turn, strict=True))
     return Twin(made(bench, "frame-step", moment=moment, turning=True), values, turned)
 
 
+STEPS = {"frame-step", "joint-step", "tool-slip"}
 TWINS: dict[str, Callable[[Bench], Twin]] = {
     "joint-compliance": one("joint-compliance", "joint2.s", Hidden("joint-compliance", 2, 5e-8)),
     "nonlinear-joint-stiffness, cubic": cubic,
@@ -345,7 +350,9 @@ TWINS: dict[str, Callable[[Bench], Twin]] = {
     "frame-drift, wandering": wander,
     "session-frame, each session": frames_of_sessions,
     "session-frame, from a session on": frame_from_a_session_on,
-    "frame-step, shifting": step,
+    "frame-step, shifting": step("frame-step", "device"),
+    "joint-step": step("joint-step", "joint3", 3),
+    "tool-slip": step("tool-slip", "tool"),
     "frame-step, turning": turning_step,
     "marker-place": marker_place,
     "tracker-scale": one("tracker-scale", "device.s", Hidden("tracker-scale", 0, 3e-5)),

@@ -8,6 +8,7 @@ import numpy as np
 
 from hidden import forms, frame_causes, joint_causes
 from hidden.file_faults import ON_TABLE
+from hidden.frame_causes import stepped
 from hidden.random_functions import direction, random_function
 from hidden.simulator import Array, Motion, Robot, Rows, State, equilibrium, tool_point
 from hidden.tool_causes import ON_TOOL
@@ -74,11 +75,6 @@ def _driven(h: Hidden) -> int:
 
 
 # --- Joints: rad added to one driven joint (rows,) ---------------------------------------------------
-
-
-def joint_slip(h: Hidden, robot: Robot, rows: Rows, torque: Array) -> Array:
-    """The zero of a joint slips half way through the measurement."""
-    return h.size * (rows.time > rows.time.max() / 2)
 
 
 def nonlinear_stiffness(h: Hidden, robot: Robot, rows: Rows, torque: Array) -> Array:
@@ -266,9 +262,9 @@ def frame_drift(h: Hidden, robot: Robot, rows: Rows, point: Array) -> Array:
 
 
 def frame_step(h: Hidden, robot: Robot, rows: Rows, point: Array) -> Array:
-    """At one moment between a quarter and three quarters of the measuring time."""
+    """At one moment."""
     rng = h.rng
-    return point + (rows.time > rng.uniform(0.25, 0.75) * rows.time.max())[:, None] * _wandered(h, rng, point)
+    return point + stepped(h, rng, rows)[:, None] * _wandered(h, rng, point)
 
 
 def tracker_scale(h: Hidden, robot: Robot, rows: Rows, point: Array) -> Array:
@@ -301,7 +297,6 @@ ON_JOINT = {
     "gear-ratio-error": gear_ratio_error,
     "wrist-coupling": wrist_coupling,
     "cable-drag": cable_drag,
-    "joint-slip": joint_slip,
     **joint_causes.ON_JOINT,
 }
 ON_MOTION = {

@@ -26,6 +26,12 @@ def session_names(rows: Rows) -> list[str]:
     return [f"day {k + 1}" for k in sessions(rows)]
 
 
+def stepped(h: Hidden, rng: np.random.Generator, rows: Rows) -> Array:
+    """1 after a drawn moment between a quarter and three quarters of the measuring time, else 0; by extra "before" 1 less."""
+    after = rows.time > rng.uniform(0.25, 0.75) * rows.time.max()
+    return after - float(h.extra == "before")
+
+
 def session_frame(h: Hidden, robot: Robot, rows: Rows, point: Array) -> Array:
     """Each session but the first has the device elsewhere, by size and turned by a quarter of it a metre, at random;
     with extra a number, it was moved once, before that session, and not turned."""

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hidden.frame_causes import stepped
 from hidden.simulator import Array, Robot, Rows
 
 if TYPE_CHECKING:
@@ -35,4 +36,11 @@ def friction_wind_up(h: Hidden, robot: Robot, rows: Rows, torque: Array) -> Arra
     return h.size * (least + (1 - least) * share) * rows.approach[:, h.joint - 1]
 
 
-ON_JOINT = {"loaded-transmission-error": loaded_transmission_error, "friction-wind-up": friction_wind_up}
+def joint_step(h: Hidden, robot: Robot, rows: Rows, torque: Array) -> Array:
+    """The zero jumps by size at one moment."""
+    return h.size * stepped(h, h.rng, rows)
+
+
+ON_JOINT = {
+    "loaded-transmission-error": loaded_transmission_error, "friction-wind-up": friction_wind_up, "joint-step": joint_step,
+}  # fmt: skip

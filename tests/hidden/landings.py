@@ -32,6 +32,7 @@ def missed(world: World, q_deg: pd.DataFrame, asked: pd.DataFrame) -> Array:
 
 
 def _rows(q: Array, approach: Array, payload: str) -> Rows:
+    """Rows at one time, after every moment at which something changes while measuring."""
     n = len(q)
     carried, first = np.full(n, PAYLOADS.index(payload)), np.zeros(n, dtype=int)
-    return Rows(q, carried, first, approach, 0 * q, 0 * q, np.zeros(n), np.full(n, 20.0))
+    return Rows(q, carried, first, approach, 0 * q, 0 * q, np.ones(n), np.full(n, 20.0))

@@ -66,7 +66,8 @@ USUAL = {
     "tracker-scale": (0, 2e-5, ""),
     "third-order": (2, 1e-4, ""),
     "cable-drag": (0, 2e-4, ""),
-    "joint-slip": (2, 2e-4, ""),
+    "joint-step": (2, 2e-4, ""),
+    "tool-slip": (0, 2e-4, ""),
     "random-field": (0, 1e-4, ""),
     "floor-vibration": (0, 5e-5, ""),
 }

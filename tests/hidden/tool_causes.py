@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hidden.frame_causes import stepped
 from hidden.simulator import WEIGHT, Array, Motion, Robot, Rows, State
 
 if TYPE_CHECKING:
@@ -34,6 +35,19 @@ def bracket(h: Hidden, robot: Robot, rows: Rows, state: State) -> Motion:
     return _moved(robot, rows, h.size * _across(weight, Z), h.size * 1.5 / LENGTH * np.cross(Z, weight))
 
 
+def tool_slip(h: Hidden, robot: Robot, rows: Rows, state: State) -> Motion:
+    """The tool slips by size at one moment, in a drawn direction.
+
+    With extra "turning" it turns about its flange by size over 0.3 m; with extra a number, from 0, that marker alone slips.
+    """
+    rng = h.rng
+    after, nothing = stepped(h, rng, rows), np.zeros((len(rows), 3))
+    if h.extra == "turning":
+        return _moved(robot, rows, nothing, after[:, None] * h.size / 0.3 * _drawn(rng))
+    own = after if h.extra in ("", "before") else after * (rows.marker == int(h.extra))
+    return _moved(robot, rows, own[:, None] * h.size * _drawn(rng), nothing)
+
+
 def _in_flange(state: State, vector: Array) -> Array:
     return np.asarray(vector @ state.frames.tips[-1][:, :3, :3])
 
@@ -54,4 +68,8 @@ def _moved(robot: Robot, rows: Rows, shift: Array, turn: Array) -> Motion:
     return motion
 
 
-ON_TOOL: dict[str, Callable[[Hidden, Robot, Rows, State], Motion]] = {"tool-sag": tool_sag, "tool-bracket": bracket}
+ON_TOOL: dict[str, Callable[[Hidden, Robot, Rows, State], Motion]] = {
+    "tool-sag": tool_sag,
+    "tool-bracket": bracket,
+    "tool-slip": tool_slip,
+}

@@ -231,7 +231,7 @@ def _judged(
 
 def beyond_figures(model: Model) -> tuple[Effect, ...]:
     """Return the effects of the robot, not of the measuring device, beyond its lengths and angles."""
-    return tuple(effect for effect in model.effects if not effect.of_device() and not is_of_figures(effect))
+    return tuple(effect for effect in model.effects if not effect.of_measuring() and not is_of_figures(effect))
 
 
 def is_of_figures(effect: Effect) -> bool:
@@ -255,7 +255,7 @@ def _with_device(model: Model, estimate: np.ndarray) -> np.ndarray:
     """Return the nominal parameters with the estimated effects of the measuring device."""
     values = model.nominal.copy()
     for effect in model.effects:
-        if effect.of_device():
+        if effect.of_measuring():
             values[model.columns(effect)] = estimate[model.columns(effect)]
     return values
 
@@ -266,7 +266,7 @@ def _with_zeros(model: Model, *, and_tool: bool) -> Model:
     zeros = [robot.step_index(i, joint.moving.symbol) for i, joint in enumerate(robot.joints)]
     others = np.setdiff1d(np.arange(len(robot.steps)), zeros).tolist()
     held: list[Expected] = []
-    for effect in model.effects:
+    for effect in (effect for effect in model.effects if not effect.of_measuring()):
         p = ca.SX.sym("p", len(effect.declared))
         dims = effect.dimensions(p, nominal_dimensions(robot), Row.symbols(robot))
         of_tool = [] if and_tool else [ca.vec(dims.markers), dims.markers_turn, dims.tool_rotation]

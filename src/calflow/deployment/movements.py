@@ -130,7 +130,7 @@ def _parameters(calibrated: CalibratedModel, rows: np.ndarray) -> Iterator[Movem
     model = calibrated.model
     slope = model.point_jacobian(calibrated.estimate, rows)
     for effect in model.effects:
-        columns = [int(k) for k in model.columns(effect) if not effect.of_device()]
+        columns = [int(k) for k in model.columns(effect) if not effect.of_measuring()]
         if isinstance(effect, Geometry):
             pairs = zip(effect.declared, effect.errors, strict=True)
             of_links = {declared.identity for declared, error in pairs if error.field in ("steps", "bars")}

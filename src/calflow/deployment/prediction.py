@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -164,14 +164,12 @@ def as_stated(
         for need in lacking
     )
     widened = float(sum((need.spread_mm / 1e3) ** 2 for need in lacking))
-    return StatedModel(
-        replace(calibrated, model=replace(calibrated.model, given=given)), data.stating(given), widened, notes
-    )
+    return StatedModel(calibrated.later(given), data.stating(given), widened, notes)
 
 
 def on_conditions_of(calibrated: CalibratedModel, data: Measurements) -> CalibratedModel:
-    """Return the model for rows that state the same conditions as these data."""
-    return replace(calibrated, model=replace(calibrated.model, given=data.given))
+    """Return the model for later rows that state the same conditions as these data."""
+    return calibrated.later(data.given)
 
 
 def beyond_limits(data: Measurements, so: str = "the prediction there is extrapolated") -> list[str]:

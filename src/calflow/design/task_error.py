@@ -47,7 +47,7 @@ TASK_DRAWS = 2000
 
 
 def _is_device_drift(effect: Effect) -> bool:
-    return isinstance(effect, Wandering) and effect.quantity.of_device()
+    return isinstance(effect, Wandering) and effect.quantity.of_measuring()
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +65,7 @@ class Form:
         """Whether it moves the tool, unlike errors of the measuring device."""
         if self.kind == "background":
             return not any(_is_device_drift(effect) for effect in self.effects)
-        return not any(isinstance(effect, Cause) and effect.of_device() for effect in self.effects)
+        return not any(isinstance(effect, Cause) and effect.of_measuring() for effect in self.effects)
 
 
 @dataclass(frozen=True, eq=False)

@@ -501,7 +501,7 @@ def _place(cause: Cause) -> str:
 def _overlapping(verdict: Verdict, left: tuple[UnexplainedStructure, ...]) -> UnexplainedStructure | None:
     """Return unexplained structure along a cause's input: its joint, time or order, or the payload."""
     cause = verdict.finding.cause
-    inputs = {f"q{cause.joint}"} if cause.joint else set(IN_TIME) if cause.of_device() else set()
+    inputs = set(IN_TIME) if cause.of_measuring() else {f"q{cause.joint}"} if cause.joint else set()
     inputs = inputs | {"payload"} if "payload" in cause.effect.needs else inputs
     return next((structure for structure in left if inputs & set(structure.inputs)), None)
 

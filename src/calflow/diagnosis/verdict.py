@@ -416,7 +416,7 @@ def deployed_causes(extended: Extended, verdicts: Sequence[Verdict], identified_
     """
     now = DeployedCauses(extended.fitted, tuple(verdicts))
     misses = extended.fitted.left_out.at_new_poses
-    of_robot = [verdict for verdict in reversed(verdicts) if not verdict.finding.cause.of_device()]
+    of_robot = [verdict for verdict in reversed(verdicts) if not verdict.finding.cause.of_measuring()]
     for doubtful in [verdict for verdict in of_robot if not is_certain(verdict, extended.fitted)]:
         stay = tuple(verdict for verdict in now.deployed if verdict is not doubtful)
         fewer = extended.fitted.with_causes([verdict.finding.cause for verdict in stay]) if stay else None

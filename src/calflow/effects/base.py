@@ -325,8 +325,8 @@ class Effect(ABC):
         return cls.scatter is not Effect.scatter
 
     @classmethod
-    def of_device(cls) -> bool:
-        """Whether it is an error of the measuring device, which does not move the robot itself."""
+    def of_measuring(cls) -> bool:
+        """Whether it belongs to the measuring, not to the robot as it was left: an error of the device, or what is over since."""
         return cls.device is not Effect.device or cls.target is not Effect.target or cls.is_noise()
 
     @property
@@ -356,6 +356,15 @@ class Effect(ABC):
     def finer(self, data: Measurements) -> tuple[Self, ...]:
         """Return variants between this one and its neighbours, for refinement of the search."""
         return ()
+
+    def undecided(self, data: Measurements) -> np.ndarray:
+        """Return the rows (n_rows,) in which the fitted rows do not tell whether it acts."""
+        return np.zeros(len(data), dtype=bool)
+
+    @property
+    def afterwards(self) -> Self:
+        """The effect for rows measured later, whose places in measuring order count anew."""
+        return self
 
     def completing(self, data: Measurements) -> tuple[Effect, ...]:
         """Return effects that locate what the fit had no row of (a new session, say) from these rows themselves."""
@@ -541,13 +550,17 @@ class ActingEffect(Effect):
         """Return those of the effect that acts."""
         return self._acting_effect.completing(data)
 
+    def undecided(self, data: Measurements) -> np.ndarray:
+        """Return those of the effect that acts."""
+        return self._acting_effect.undecided(data)
+
     def is_noise(self) -> bool:  # type: ignore[override]
         """Whether the effect that acts is noise."""
         return self._acting_effect.is_noise()
 
-    def of_device(self) -> bool:  # type: ignore[override]
-        """Whether the effect that acts is an error of the measuring device."""
-        return self._acting_effect.of_device()
+    def of_measuring(self) -> bool:  # type: ignore[override]
+        """Whether the effect that acts belongs to the measuring."""
+        return self._acting_effect.of_measuring()
 
     @property
     def _acting_effect(self) -> Effect:
@@ -596,6 +609,11 @@ class Cause(ActingEffect):
     def place(self) -> tuple[str, str]:
         """Effect id and part, which all variants at this place share."""
         return self.effect.id, self.part
+
+    @property
+    def afterwards(self) -> Self:
+        """The cause for rows measured later."""
+        return replace(self, effect=self.effect.afterwards)
 
     @property
     def n_parameters(self) -> int:
@@ -658,6 +676,11 @@ class Carried(ActingEffect):
     values: tuple[float, ...]
 
     title = "known beforehand"
+
+    @property
+    def afterwards(self) -> Self:
+        """The same for rows measured later."""
+        return replace(self, cause=self.cause.afterwards)
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return none."""

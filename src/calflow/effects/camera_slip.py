@@ -6,28 +6,27 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import casadi as ca
-import numpy as np
 
-from calflow.effects.base import Words, several_imaged
-from calflow.effects.frame_step import FrameStep
+from calflow.effects.base import OF_THE_FRAME, Words, several_imaged
+from calflow.effects.step_change import StepChange
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Row
+from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
 
 
 @dataclass(frozen=True)
-class CameraSlip(FrameStep):
-    """Point in the camera's frame + (x, y, z) + r x point, from one image on."""
-
-    turning: bool = True
+class CameraSlip(StepChange):
+    """Point in the camera's frame - (x, y, z) - r x point, up to an image."""
 
     id = "camera-slip"
     title = "camera that slipped"
     shown_by = "images"
     words = Words("camera that slipped", "the camera moved once on what it is fixed to", "shift")
+    whole = "device"
+    family = OF_THE_FRAME
     told_by = "photograph a target fixed beside the camera from time to time, or some of the first poses again"
     shift_sd, turn_sd = 5e-4, 1e-3
-    most: ClassVar[tuple[tuple[bool, int], ...]] = ((True, 40),)
     slipping: ClassVar[str] = "camera"
 
     @classmethod
@@ -35,21 +34,18 @@ class CameraSlip(FrameStep):
         """Return what is missing where the images are not of one camera (or target)."""
         return several_imaged(data, cls.slipping)
 
-    @property
-    def detail(self) -> str:
-        """The row after which it slipped."""
-        return f"after row {int(np.floor(self.moment))} in measuring order"
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return the shift and the rotation."""
+        return self.along_axes(self.whole, turning=True)
 
-    @classmethod
-    def spans(cls, data: Measurements) -> np.ndarray:
-        """Return the first and last position of each image in measuring order, (n, 2)."""
-        images = data.table.groupby(["pose", "repeat"])["order"].agg(["min", "max"])
-        return images.sort_values("min").to_numpy(float)
+    def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
+        """Return the point, as it was seen before the slip."""
+        return self.undone(p, point, row)
 
 
 @dataclass(frozen=True)
 class TargetSlip(CameraSlip):
-    """Point in the target's frame + (x, y, z) + r x point, from one image on."""
+    """Point in the target's frame - (x, y, z) - r x point, up to an image."""
 
     id = "target-slip"
     title = "target that slipped"
@@ -63,5 +59,5 @@ class TargetSlip(CameraSlip):
         return point
 
     def target(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
-        """Return the point, shifted after the slip."""
-        return super().device(p, point, row)
+        """Return the point, as it was before the slip."""
+        return self.undone(p, point, row)

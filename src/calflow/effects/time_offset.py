@@ -41,8 +41,8 @@ class TimeOffset(Effect):
         return "" if fastest > STILL else "rows of an arm that moves"
 
     @classmethod
-    def of_device(cls) -> bool:
-        """Whether it is an error of the measuring device: it is, since an arm at rest does not show it."""
+    def of_measuring(cls) -> bool:
+        """Whether it belongs to the measuring: it does, since an arm at rest does not show it."""
         return True
 
     def parameters(self) -> tuple[Parameter, ...]:

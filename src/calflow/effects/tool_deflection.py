@@ -35,6 +35,13 @@ def tools(robot: Robot) -> dict[str, int]:
     return {f"{TOOL} {robot.links[link]}" if several else TOOL: link for link in robot.tools}
 
 
+def markers_alone(robot: Robot) -> dict[str, int]:
+    """Return the index of each marker on a tool that has several, by part."""
+    on, there = robot.marker_links, tools(robot)
+    names = {name: k for k, name in enumerate(robot.markers) if on[k] in robot.tools and on.count(on[k]) > 1}
+    return {f"{name} (marker)" if name in there else name: k for name, k in names.items()}
+
+
 def reach(robot: Robot) -> float:
     """Return the distance [m] of the farthest marker from its flange; a rotation about the flange moves no marker farther."""
     points = [

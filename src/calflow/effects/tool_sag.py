@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from calflow.effects.base import OF_THE_TOOL, Effect, Variable, Words, parts
-from calflow.effects.tool_deflection import TOOL, reach, tools
+from calflow.effects.tool_deflection import TOOL, markers_alone, reach, tools
 from calflow.robot.mechanism import Deflection, Row, State
 from calflow.robot.parts import Parameter
 
@@ -53,11 +53,7 @@ class ToolSag(Effect):
     @cached_property
     def _markers(self) -> dict[str, int]:
         """The index, by part, of each marker on a tool that has several."""
-        on = self.robot.marker_links
-        names = {
-            name: k for k, name in enumerate(self.robot.markers) if on[k] in self.robot.tools and on.count(on[k]) > 1
-        }
-        return {f"{name} (marker)" if name in self._tools else name: k for name, k in names.items()}
+        return markers_alone(self.robot)
 
     def _entries(self, part: str) -> list[tuple[int, int]]:
         """Return the entries of C that are a part's parameters."""

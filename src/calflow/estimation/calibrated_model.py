@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
@@ -104,6 +105,11 @@ class CalibratedModel:
     intraclass: float = 0.0
     needed: tuple[NeededCondition, ...] = ()
     time_origin: float | None = None
+
+    def later(self, given: tuple[str, ...]) -> Self:
+        """Return the model for rows measured later (see `Effect.afterwards`) that state these conditions."""
+        alternatives = tuple(replace(other, model=other.model.afterwards) for other in self.alternatives)
+        return replace(self, model=replace(self.model.afterwards, given=given), alternatives=alternatives)
 
     @property
     def noise_known(self) -> bool:

@@ -39,7 +39,7 @@ def needed_conditions(model: Model, estimate: np.ndarray, data: Measurements) ->
     The graph's sparsity tells them, so that an effect need not declare its inputs. Conditions on which only the measuring device
     depends are left out.
     """
-    rows = data.only(data.train)
+    model, rows = model.afterwards, data.only(data.train)
     needed = []
     for condition in _depended_on(model):
         dependent = [

@@ -296,7 +296,7 @@ class Wandering(SmoothFunction):
     @property
     def time_constant(self) -> float:
         """Return that of the return to the mean [s]: the longest warm-up's for a robot, infinite for a device."""
-        return np.inf if self.clock == "order" or self.quantity.of_device() else WARM_UPS[-1]
+        return np.inf if self.clock == "order" or self.quantity.of_measuring() else WARM_UPS[-1]
 
     def diffusion(self, passed: Times) -> Times:
         """Return the time in which a random walk has the variance that this has after a time [s] (Uhlenbeck and Ornstein 1930)."""
@@ -581,7 +581,7 @@ def in_time(data: Measurements, of: str = Wandering.of) -> list[InTime]:
     if clock not in data.given or data.table[clock].nunique() < 2:
         return []
     at = data.table[clock].to_numpy(float)
-    n, every = STEPS if WALKING[of].of_device() else STEPS_OF_ROBOT, np.unique(at)
+    n, every = STEPS if WALKING[of].of_measuring() else STEPS_OF_ROBOT, np.unique(at)
     paused = np.flatnonzero(np.diff(every) > np.ptp(at) / n)
     nodes = np.unique(
         [*np.quantile(at, np.linspace(0, 1, n + 1), method="nearest"), *every[paused], *every[paused + 1]]

@@ -22,7 +22,7 @@ from calflow.measurements.measurements import Measurements, sessions_of, spaced
 from calflow.robot.frames import Vector, vector
 from calflow.robot.mechanism import Row
 
-MIN_SHIFT = 5e-3  # m: smaller shifts are causes, as of a bumped device or a compliant tool
+MIN_SHIFT = 5e-3  # m: smaller shifts are causes, as of a bumped device, a joint's zero or a compliant tool
 MIN_ROWS, PLACING = 5, 3  # least rows on either side of a change, and fitted ones in each frame
 MAX_ROWS = 3000  # largest number of rows tried as a change
 ALONE = 3.0  # least error of a row off by itself, over that of as many rows as a change concerns
@@ -43,7 +43,9 @@ def causes_of_loads(data: Measurements, as_read: FittedSetup) -> list[Mistake]:
     robot, there = as_read.setup.model.robot, {effect.id for effect in as_read.setup.model.effects}
     kinds = [kind for kind in catalogue().values() if kind.id not in there and not kind.superseded(robot)]
     of_loads = [
-        kind for kind in kinds if not kind.of_device() and ("torques" in kind.needs or not issubclass(kind, JointError))
+        kind
+        for kind in kinds
+        if not kind.of_measuring() and ("torques" in kind.needs or not issubclass(kind, JointError))
     ]
     effects = [effect for kind in of_loads if not kind.lacking(robot, data) for effect in kind.variants(robot, data)]
     return [
@@ -174,7 +176,7 @@ def _position_errors(explanation: FittedSetup, setup: Setup) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class JointStep:
+class ZeroChange:
     """A step of a joint's (from 0) readings from a row on [rad or m], and the squared residuals that it leaves [m²]."""
 
     joint: int
@@ -203,6 +205,8 @@ def _joint(data: Measurements, as_read: FittedSetup, some: Setup) -> Iterator[Mi
         step = _step(explanation, some, step.undone(off, some), step.joint) or step
         if step.first == before.first and abs(step.size - before.size) < SMALL:
             break
+    if np.median(lengths(_joint_residuals(as_read, some, step.joint)[1])) * abs(step.size) < MIN_SHIFT:
+        return
     unit, factor = data.robot.joints[step.joint].shown
     words = (
         f"from line {data.table['line'].iloc[step.first]} on the readings of joint {step.joint + 1} are "
@@ -214,7 +218,7 @@ def _joint(data: Measurements, as_read: FittedSetup, some: Setup) -> Iterator[Mi
     yield Mistake("zero-changed", step.joint + 1, undo, words, log_prior, where=SET_UP, remedy=remedy)
 
 
-def _step(explanation: FittedSetup, some: Setup, undone: Setup, joint: int) -> JointStep | None:
+def _step(explanation: FittedSetup, some: Setup, undone: Setup, joint: int) -> ZeroChange | None:
     """Return the step of a joint that leaves least, or None where it explains too little.
 
     undone are the same rows with readings at which the explanation is linearised.
@@ -229,7 +233,7 @@ def _step(explanation: FittedSetup, some: Setup, undone: Setup, joint: int) -> J
         return None
     end = int(np.searchsorted(some.numbers, first)) - 1
     size = float(later[end] / later_square[end] - along[end] / square[end])
-    return JointStep(joint, first, size, float(left[end]))
+    return ZeroChange(joint, first, size, float(left[end]))
 
 
 def _joint_residuals(explanation: FittedSetup, setup: Setup, joint: int) -> tuple[np.ndarray, np.ndarray]:

@@ -155,8 +155,7 @@ def filter_program(
         stated["time_origin"] = calibrated.time_origin
     if payload is not None:
         stated["payload"] = payload
-    model = replace(calibrated.model, given=given)
-    corrector = CalibratedRobot(replace(calibrated, model=model), partial(_rows, robot, stated), in_order, missing)
+    corrector = CalibratedRobot(calibrated.later(given), partial(_rows, robot, stated), in_order, missing)
     try:
         done = filtered(programs, corrector, choices)
     except InputError as error:

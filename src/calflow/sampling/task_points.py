@@ -105,7 +105,7 @@ def point_errors(
         rng: random numbers.
         widened: further variance of positions [m²].
     """
-    lean = replace(posterior.calibrated, model=replace(posterior.calibrated.model, given=calibrated.model.given))
+    lean = posterior.calibrated.later(calibrated.model.given)
     draws = replace(PosteriorDraws.of(posterior, TASK_DRAWS, rng), calibrated=lean)
     factor = np.exp(2 * draws.values[:, -1])[:, None, None]  # of the noise's variance
 

@@ -1,0 +1,118 @@
+"""Step change: base class of what changes once while the rows are measured, and stays: a collision, a bump, a slip."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self
+
+import casadi as ca
+import numpy as np
+
+from calflow.effects.base import Effect, displaced
+from calflow.measurements.measurements import Measurements, borders
+from calflow.robot.mechanism import Row
+from calflow.robot.parts import Parameter
+from calflow.robot.robot import Robot
+
+MOMENTS = 40  # most moments of one form that are searched at first
+BOUND = 300.0  # standard deviations
+FEWEST = 3  # rows, or images, required before the first moment and after the last
+AXES: tuple[tuple[str, str, str], ...] = (("", "m", "step along"), ("r", "rad", "turn about"))
+
+
+@dataclass(frozen=True)
+class StepChange(Effect):
+    """A change of constant size between two rows in measuring order, without a column of its own.
+
+    The model's other parameters are of the time after it, and it acts, reversed, on the rows before: the robot as it was left,
+    commands and later measurements know nothing of it.
+    """
+
+    moment: float = 0.5
+
+    needs = ("order",)
+    shift_sd: ClassVar[float] = 3e-4  # m
+    turn_sd: ClassVar[float] = 1e-4  # rad
+
+    @classmethod
+    def kinds(cls, robot: Robot) -> tuple[Self, ...]:
+        """Return its forms, at any moment."""
+        return (cls(robot),)
+
+    @classmethod
+    def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
+        """Return each form at moments between rows, or images; none for unsuitable data."""
+        if cls.lacking(robot, data):
+            return ()
+        moments = _spread(_moments(data))
+        return tuple(replace(kind, moment=float(moment)) for kind in cls.kinds(robot) for moment in moments)
+
+    @classmethod
+    def of_measuring(cls) -> bool:
+        """Whether it belongs to the measuring, not to the robot as it was left: it does."""
+        return True
+
+    def undecided(self, data: Measurements) -> np.ndarray:
+        """Return the rows between the last fitted one before the moment and the first after it."""
+        order = data.table["order"].to_numpy(float)
+        fitted = order[data.train]
+        last = fitted[fitted < self.moment].max(initial=-np.inf)
+        return np.asarray((order > last) & (order < fitted[fitted > self.moment].min(initial=np.inf)))
+
+    @property
+    def afterwards(self) -> Self:
+        """The same at a moment before any row."""
+        return replace(self, moment=-abs(self.moment))
+
+    def finer(self, data: Measurements) -> tuple[Self, ...]:
+        """Return the moments about this one that the coarse search left out."""
+        between = _moments(data)
+        reach = float(np.diff(_spread(between)).max(initial=1.0))
+        return tuple(replace(self, moment=float(m)) for m in between[np.abs(between - self.moment) <= reach])
+
+    def same_as(self, other: Self) -> bool:
+        """Whether the moments are too close for two separate steps."""
+        return abs(other.moment - self.moment) < FEWEST
+
+    @property
+    def detail(self) -> str:
+        """The row after which it happened."""
+        return f"after row {int(np.floor(self.moment))} in measuring order"
+
+    def before(self, row: Row) -> ca.SX:
+        """Return 1 for a row before the step, else 0, structurally where none is or its place in the order is not known."""
+        known = self.moment > 0 and row.order.nnz()
+        return (row.order > 0) * (row.order < self.moment) if known else ca.SX(1, 1)
+
+    def undone(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
+        """Return a point without its displacement by a shift (3,), or a shift and a rotation (6,), where a row is before it."""
+        before = self.before(row)
+        return point - displaced(p, point) * before if before.nnz() else point
+
+    def along_axes(self, part: str, turning: bool) -> tuple[Parameter, ...]:
+        """Return a shift of a part, and a rotation."""
+        sds = (self.shift_sd, self.turn_sd)[: 2 if turning else 1]
+        return tuple(
+            Parameter(self.id, part, symbol + axis, unit, sd, -BOUND * sd, BOUND * sd, meaning=f"{meaning} {axis}")
+            for (symbol, unit, meaning), sd in zip(AXES, sds, strict=False) for axis in "xyz"
+        )  # fmt: skip
+
+
+def _moments(data: Measurements) -> np.ndarray:
+    """Return all moments between rows, or images, of one session with at least FEWEST before and after."""
+    first, last = _spans(data).T
+    between = ((first[1:] + last[:-1]) / 2)[FEWEST - 1 : len(first) - FEWEST]
+    return np.asarray(between[~np.isin(between, borders(data))])
+
+
+def _spans(data: Measurements) -> np.ndarray:
+    """Return the first and last position in measuring order of each unit that no step divides, (n, 2): a row, or an image."""
+    if not data.in_images:
+        return np.repeat(np.unique(data.table["order"].to_numpy(float))[:, None], 2, axis=1)
+    images = data.table.groupby(["pose", "repeat"])["order"].agg(["min", "max"])
+    return images.sort_values("min").to_numpy(float)
+
+
+def _spread(moments: np.ndarray) -> np.ndarray:
+    """Return an evenly spaced subset of the moments, at most MOMENTS."""
+    return moments[np.unique(np.linspace(0, len(moments) - 1, MOMENTS).astype(int))] if len(moments) else moments
