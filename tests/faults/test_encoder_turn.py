@@ -61,3 +61,13 @@ def test_good_rows_gain_nothing_from_a_turn(measured):
         assert gain > 100 if there else gain == 0
     sides = {tuple(np.flatnonzero(one.rows)[[0, -1]] + 1): one.step for one in (block, block.complement)}
     assert any(first in (20, 21, 22) and last in (44, 45, 46) and value < 0 for (first, last), value in sides.items())
+
+
+@pytest.mark.parametrize(("joint", "turns"), [(4, 2), (3, 5)])
+def test_a_long_block_does_not_hide_a_wrong_sign(measured, joint, turns):
+    """Fails if a sign in the robot file is not found beside a turn in a third of the rows, and another figure is blamed."""
+    data = turned(measured, turns, 40, 60)
+    data = replace(data, table=data.table.assign(**{f"q{joint}": -data.table[f"q{joint}"]}))
+    after, found = examined(data)
+    assert [(fault.cause, fault.joint) for fault in found] == [("joint-sign", joint), ("encoder-turn", turns)]
+    np.testing.assert_allclose(after.joints, measured.joints, atol=1e-9)

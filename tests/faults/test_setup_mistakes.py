@@ -190,6 +190,18 @@ def test_a_device_that_was_moved_at_a_row(measured, typed):
     assert f"from line {measured.table['line'][41]} on" in fault.statement
 
 
+@pytest.mark.parametrize("sessions", [("Mon",), ("Mon", "Tue", "Wed")])
+def test_a_device_that_was_moved_within_a_session(measured, sessions):
+    """Fails if the names of sessions hide the row, or all of them are said to be apart, of which a frame each mends nothing."""
+    later = (np.arange(len(measured)) >= 41)[:, None]
+    x, y, z = np.where(later, measured.position + np.array([0.03, 0.0, 0.02]), measured.position).T
+    session = np.array(sessions)[np.arange(len(measured)) * len(sessions) // len(measured)]
+    (fault,) = examined(with_columns(measured, x=x, y=y, z=z, session=session))[1]
+    assert (fault.cause, fault.action) == ("device-moved", "unsettled")
+    assert f"from line {measured.table['line'][41]} on" in fault.statement
+    assert f"give the rows of session '{session[41]}' from there on" in fault.statement
+
+
 def test_sessions_with_frames_of_their_own_ask_for_by_session(measured):
     """Fails if a tracker that was set up anew is not told as one."""
     session = np.array(["Mon", "Tue", "Wed"])[np.arange(len(measured)) * 3 // len(measured)]

@@ -130,8 +130,7 @@ def setup_changes(data: Measurements, as_read: FittedSetup) -> Iterator[Mistake]
     sums = rigid_sums(as_read.fit.predicted(some.conditions), some.position)
     if "session" in data.given:
         yield from _sessions(data, as_read, some, sums)
-    else:
-        yield from _device(data, as_read, some, sums)
+    yield from _device(data, as_read, some, sums)
     yield from _tool(data, as_read, some)
     yield from _joint(data, as_read, some)
     if as_read.suspicious and len(some.numbers) >= 2 * MIN_ROWS:
@@ -243,16 +242,20 @@ def _joint_residuals(explanation: FittedSetup, setup: Setup, joint: int) -> tupl
 
 
 def _device(data: Measurements, as_read: FittedSetup, some: Setup, sums: np.ndarray) -> Iterator[Mistake]:
-    """Yield the row from which the device's pose changed."""
+    """Yield the row from which the device's pose changed, unless a session begins there."""
     before, whole = np.cumsum(sums, axis=0), sums.sum(axis=0)
     first = _change(some, _squares(before) + _squares(whole - before), float(_squares(whole)))
-    if first is not None:
+    named = data.table["session"].astype(str).to_numpy() if "session" in data.given else None
+    if first is not None and (named is None or named[first] == named[first - 1]):
         later = np.arange(len(data)) >= first
         apart = replace(data, table=data.table.assign(session=np.where(later, "after", "before")))
+        names = (
+            "name the rows before and after in a column 'session'" if named is None else
+            f"give the rows of session '{named[first]}' from there on a session's name of their own"
+        )  # fmt: skip
         words = (
             f"from line {data.table['line'].iloc[first]} on the positions are in another frame ({{far}} off): the measuring "
-            "device, or the robot, was moved; name the rows before and after in a column 'session' and state by_session = true "
-            "in [measurements.station]"
+            f"device, or the robot, was moved; {names} and state by_session = true in [measurements.station]"
         )
         yield from _separate_frames("device-moved", apart, as_read, words, len(sums))
 

@@ -27,6 +27,9 @@ PLACED, FITTED = 20, 8  # candidates kept after screening, and after rigid fits
 MIN_LOG_ODDS = np.log(1e3)  # odds against no mistake, and against another one
 NO_WORSE = 1.2  # largest ratio of remaining errors to those as stated
 MOST_GROSS = 0.2  # largest share of rows that may remain gross
+MOST_GROSS_BESIDE = (
+    0.5  # the same where all others agree as a robot's do: a second mistake may lie in rows (a lost turn)
+)
 MAX_REPORTED = 3  # reported together
 
 
@@ -114,13 +117,18 @@ def _explaining(as_read: FittedSetup, tried: Iterable[Mistake]) -> list[Possible
     """Return the mistakes without which the fit is far better than as stated."""
     explained = [(mistake, mistake.undo(as_read.setup).restated.registered.fitted) for mistake in tried]
     most = min(max(SUSPECT_SCALE, as_read.fit.scale / FAR_BETTER), NO_WORSE * as_read.fit.scale)
-    # If single rows are gross, a mistake must explain them.
-    most_gross = MOST_GROSS if as_read.fit.scale > SUSPECT_SCALE else SINGLE
+
+    def most_gross(left: float) -> float:
+        """Return the share of rows that may remain gross if all others are left with errors of this scale."""
+        if as_read.fit.scale <= SUSPECT_SCALE:
+            return SINGLE  # a mistake must explain gross rows, where only these are wrong
+        return MOST_GROSS_BESIDE if left < SUSPECT_SCALE else MOST_GROSS
+
     return [
         PossibleMistake(mistake, explanation, explanation.evidence + mistake.log_prior)
         for mistake, explanation in explained
         if explanation.fit.scale < most
-        and explanation.gross < most_gross
+        and explanation.gross < most_gross(explanation.fit.scale)
         and explanation.log_odds(as_read) + mistake.log_prior > MIN_LOG_ODDS
     ]
 
