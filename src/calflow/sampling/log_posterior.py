@@ -279,9 +279,11 @@ def _degrees(n_dimensions: int) -> int:
 
 
 def log_student(u: np.ndarray) -> np.ndarray:
-    """Return the log density (n,) of the proposal's Student t at u (n, n_dimensions), up to a constant."""
+    """Return the log density (n,) of the proposal's Student t at u (n, n_dimensions)."""
     n, degrees = u.shape[1], _degrees(u.shape[1])
-    return np.asarray(-0.5 * (degrees + n) * np.log1p((u**2).sum(axis=1) / degrees))
+    log_gamma = scipy.special.gammaln
+    constant = log_gamma((degrees + n) / 2) - log_gamma(degrees / 2) - 0.5 * n * np.log(degrees * np.pi)
+    return np.asarray(constant - 0.5 * (degrees + n) * np.log1p((u**2).sum(axis=1) / degrees))
 
 
 def _sum_of_squares(problem: LeastSquares) -> Squares:
