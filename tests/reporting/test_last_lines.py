@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from dataclasses import replace
 
 import pytest
@@ -69,3 +71,9 @@ def test_nothing_found_is_said(given):
     assert "found: nothing that the model lacks" in last_lines(RunOutcome(with_diagnosis(given).results))
     assert not any(line.startswith("found") for line in last_lines(RunOutcome(given.results)))
     assert last_lines(RunOutcome(Results())) == []
+
+
+def test_to_tell_what_came_out_no_drawing_is_loaded() -> None:
+    """Fails if a run without a report waits for Matplotlib, which takes as long to load as a small robot to be fitted."""
+    code = "import sys, calflow.reporting.terminal; sys.exit('matplotlib' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code]).returncode == 0

@@ -101,7 +101,7 @@ def judged(result: Fit, data: Measurements, noise: Noise) -> pd.DataFrame:
     The fit's covariance may include smooth errors that its problem ignores; it then serves held-out rows (see `Studentised.of`).
     """
     studentised = Studentised.of(restated(result, result.problem), data, noise, beside=result.covariance)
-    limit = scipy.stats.chi2.isf(FALSE_FLAGS / len(data), studentised.units)
+    limit = scipy.special.chdtri(studentised.units, FALSE_FLAGS / len(data))
     return judged_table(result, data, studentised, (studentised.squared > limit) & (data.train | data.held_out))
 
 

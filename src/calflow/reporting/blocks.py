@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from calflow.files.deferred import pd
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 NEXT = "What to do next"  # a heading
 SPLITS = {"train": "used for the fit", "holdout": "held out"}

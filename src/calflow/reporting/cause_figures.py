@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from textwrap import fill
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from calflow.files.units import METRE
 from calflow.files.words import number
 from calflow.reporting.style import ACCENT, crowded, dots, figure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 FEW_VALUES = 6  # distinct values of a variable up to which rows are drawn in groups
 SMOOTH = 0.05  # share of a curve's variance between neighbours up to which it is drawn as a line

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from unicodedata import east_asian_width
 
-import matplotlib
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.axis import Axis
-from matplotlib.colors import ListedColormap, Normalize
-from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 from calflow.files.words import mm
+
+if TYPE_CHECKING:  # a run without a report starts sooner: only drawing needs Matplotlib
+    from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
+    from matplotlib.colors import ListedColormap, Normalize
+    from matplotlib.figure import Figure
+    from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 WIDTH = 6.7  # inches: the text width of the page, so that fonts keep their size
 DARK, ACCENT, MIDDLE, LIGHT = "#1f3f66", "#c8641b", "#7f8790", "#d4d8dd"
@@ -67,11 +67,15 @@ CELLED, CELLS = 150, 12  # points above which a map uses cells instead of dots, 
 
 def style() -> AbstractContextManager[None]:
     """Return the context in which figures are made and saved."""
+    import matplotlib
+
     return matplotlib.rc_context(SETTINGS)  # type: ignore[arg-type]
 
 
 def figure(height: float, width: float = WIDTH) -> Figure:
     """Return an empty figure of a size [inches]."""
+    from matplotlib.figure import Figure
+
     return Figure(figsize=(width, height))
 
 
@@ -113,6 +117,8 @@ def crowded(n_rows: int) -> float:
 
 def plain_decades(axis: Axis, low: float, high: float) -> None:
     """Label a logarithmic axis from low to high with plain numbers, more densely where the range is short."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
     axis.set_major_locator(LogLocator(subs=(1.0,) if high / low > 50 else (1.0, 2.0, 5.0)))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
@@ -126,6 +132,9 @@ def mark_floor(line: Callable[..., Any], floor: float | None, unit: str) -> None
 
 def shades(lightest: float) -> ListedColormap:
     """Return a colour map for errors, darker for larger ones, whose lightest colour is visible on white."""
+    import matplotlib
+    from matplotlib.colors import ListedColormap
+
     return ListedColormap(matplotlib.colormaps["cividis_r"](np.linspace(lightest, 1, 256)))
 
 

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Normalize
-from matplotlib.figure import Figure
 
 from calflow.files.deferred import pd
 from calflow.files.words import mm
@@ -18,6 +16,9 @@ from calflow.reporting.material import Material
 from calflow.reporting.section import Section
 from calflow.reporting.style import ALONE, figure, shade, shades, view
 from calflow.sampling.task_points import LIKELY, TaskSummary
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 ALMOST_CERTAIN = 0.999  # probability above which no further digits are stated
 VIEWS = (((0, 1), "from above"), ((0, 2), "from the side"), ((1, 2), "from the front"))
@@ -79,6 +80,9 @@ def task_map(place: np.ndarray, radius: np.ndarray, groups: Sequence[tuple[str, 
     groups: payloads and masks (n_points,) of their points, a row of maps each. Many points are reduced to cells, each of which
     shows the largest radius in it.
     """
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
     dark = shades(0.1)
     norm = Normalize(radius.min(), radius.max() if np.ptp(radius) > 0 else radius.min() + 1e-6)
     drawn = figure(2.1 * len(groups) + 0.3)

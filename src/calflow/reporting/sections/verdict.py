@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from matplotlib.ticker import MaxNLocator
 
 from calflow.deployment.figures_alone import GIVEN, MEANT, NOT_COMPUTED, EffortLevel
 from calflow.deployment.in_space import over_ranges
@@ -181,6 +180,8 @@ def pose_errors(material: Material, limits: pd.Series | None = None) -> Plot:
 
     limits: by pose, the limit below which 95 % of such errors are predicted.
     """
+    from matplotlib.ticker import MaxNLocator
+
     drawn, unit, largest = figure(2.6, 3.3), material.certainty.unit, material.largest
     axes, verdict, edges = drawn.add_subplot(), held_against_tolerance(material), np.arange(len(largest) + 1) + 0.5
     axes.stairs(
