@@ -190,6 +190,13 @@ def test_a_device_that_was_moved_at_a_row(measured, typed):
     assert f"from line {measured.table['line'][41]} on" in fault.statement
 
 
+def test_one_position_in_all_rows_is_told_as_such(measured):
+    """Fails if a row copied into all others is told as a mistake of units or signs."""
+    x, y, z = measured.position[0]
+    with pytest.raises(InputError, match=r"all 70 positions are the same, \(.*\) mm"):
+        examined(with_columns(measured, x=x, y=y, z=z))
+
+
 @pytest.mark.parametrize("sessions", [("Mon",), ("Mon", "Tue", "Wed")])
 def test_a_device_that_was_moved_within_a_session(measured, sessions):
     """Fails if the names of sessions hide the row, or all of them are said to be apart, of which a frame each mends nothing."""

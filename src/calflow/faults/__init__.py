@@ -12,7 +12,7 @@ import numpy as np
 from calflow.faults.base import Correction, Fault, FaultyRow, correct
 from calflow.faults.duplicate import duplicate
 from calflow.faults.encoder_turn import encoder_turn
-from calflow.faults.implausible import nominal_misfit, past_limits
+from calflow.faults.implausible import nominal_misfit, one_position, past_limits
 from calflow.faults.measured_torque import measured_torque
 from calflow.faults.mended_rows import exchanged, unit_mistake
 from calflow.faults.outlier import gross_rows, is_position, outlier
@@ -70,6 +70,8 @@ def _searched(data: Measurements) -> tuple[Measurements, tuple[Fault, ...], Setu
         data = reduce(correct, found, data)
     positions, setup = is_position(data), None
     if positions.any():
+        if message := one_position(data.position[positions]):
+            raise refuse(message)
         detected, setup = _of_positions(data.only(positions))
         faults += (moved := [fault.in_all_rows(np.flatnonzero(positions)) for fault in detected])
         data = reduce(correct, moved, data)

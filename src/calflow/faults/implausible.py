@@ -17,6 +17,17 @@ MIN_POSES = 8  # least number of poses: base and tool fit fewer
 TOLERANCE = {"rad": np.deg2rad(0.5), "m": 1e-3}  # excess over a limit; less may be rounding, or a compliant stop
 
 
+def one_position(position: np.ndarray) -> str:
+    """Return in words that all positions (n_rows, 3) [m] are one and the same; empty otherwise."""
+    if len(position) < MIN_POSES or np.ptp(position, axis=0).any():
+        return ""
+    x, y, z = 1e3 * position[0]
+    return (
+        f"all {len(position)} positions are the same, ({x:.7g}, {y:.7g}, {z:.7g}) mm: expected what was measured at each pose; was "
+        "one row copied into all others?"
+    )
+
+
 def nominal_misfit(setup: Setup) -> str:
     """Return in words the misfit of the nominal robot, with base and tool fitted; empty if it is plausible.
 
