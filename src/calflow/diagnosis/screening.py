@@ -393,7 +393,7 @@ class Screening(Generic[H]):
             causes = [self.regressors.candidates[member].cause for member in block.members]
             tests = np.array([family.scans.get(cause.place, 1.0) for cause in causes]) * family.places
             left = np.maximum(total - spent, 1.0)
-            threshold = scipy.stats.f.isf(-np.expm1(np.log1p(-false_alarm) / tests), spent, left)
+            threshold = scipy.special.fdtri(spent, left, 1 + np.expm1(np.log1p(-false_alarm) / tests))
             ratio = weighed.squared / np.maximum(chi2 - weighed.squared, 1e-12 * chi2) * (left / spent)[:, None]
             members += block.members
             cost.append(weighed.cost)

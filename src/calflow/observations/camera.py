@@ -349,22 +349,22 @@ class Camera(Observation):
                     lambda link: hand_pose if link == self._link("camera_on") else other, lambda: ca.SX(3, 1))  # fmt: skip
         error = fixed.error(p, seen, y)
         frames = [ca.vec(hand_pose), ca.vec(other)]
-        function = ca.Function("images", [p, *frames, y], [error, ca.vec(ca.jacobian(error, p))])
-        rows = [frame.transpose(0, 2, 1).reshape(-1, 16).T for frame in (hand, base)] + [self.reported(table)]
+        residual = ca.Function("residual", [p, *frames, y], [error])
+        jacobian = ca.Function("jacobian", [p, *frames, y], [ca.vec(ca.jacobian(error, p))])
+        poses = (frame.transpose(0, 2, 1).reshape(-1, 16).T for frame in (hand, base))
+        rows = [ca.DM(values) for values in (*poses, self.reported(table))]
 
-        def evaluated(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            miss, slope = (np.array(value) for value in function(ca.DM(sd * x), *rows))
-            slope = slope.reshape(len(sd), 2, -1).transpose(2, 1, 0).reshape(-1, len(sd)) * sd
-            return np.append(np.nan_to_num(miss.T.ravel(), nan=1e6), x), np.vstack(
-                [np.nan_to_num(slope), np.eye(len(sd))]
-            )
+        def missed(x: np.ndarray) -> np.ndarray:
+            return np.append(np.nan_to_num(np.array(residual(ca.DM(sd * x), *rows)).T.ravel(), nan=1e6), x)
+
+        def slope(x: np.ndarray) -> np.ndarray:
+            by_row = np.array(jacobian(ca.DM(sd * x), *rows)).reshape(len(sd), 2, -1)
+            return np.vstack([np.nan_to_num(by_row.transpose(2, 1, 0).reshape(-1, len(sd)) * sd), np.eye(len(sd))])
 
         correction = np.zeros(len(sd))
         for _ in range(ROBUST_ROUNDS):
-            scale = max(float(np.median(np.abs(evaluated(correction)[0][: -len(sd)]))), PIXEL.usual)
-            fit = scipy.optimize.least_squares(
-                lambda x: evaluated(x)[0], correction, lambda x: evaluated(x)[1], loss="soft_l1", f_scale=2 * scale
-            )
+            scale = max(float(np.median(np.abs(missed(correction)[: -len(sd)]))), PIXEL.usual)
+            fit = scipy.optimize.least_squares(missed, correction, slope, loss="soft_l1", f_scale=2 * scale)
             correction = fit.x
         return replace(fixed._by(sd * correction), series=self.series)
 
