@@ -135,6 +135,19 @@ def test_rows_are_put_right_behind_a_mistake_of_the_whole_table(tmp_path, column
     np.testing.assert_array_equal(after.joints, data.joints)
 
 
+@pytest.mark.parametrize("near", [True, False])
+def test_a_joint_that_errs_at_one_angle_is_no_slip_of_the_pen(tmp_path, near):
+    """Fails if a chipped tooth's poses are left out, so that the robot is said to be accurate there; or slips are let stand."""
+    data, _ = measured(tmp_path, Case(poses=70), 3)
+    table = data.table.copy()
+    away = (table["q2"] - table["q2"].median()).abs().to_numpy().argsort(kind="stable")
+    chipped = away[:3] if near else away[[0, -1, -2]]
+    table.loc[chipped, "q2"] += 5e-3
+    after, found = examined(replace(data, table=table))
+    assert [fault.cause for fault in found] == ([] if near else ["outlier"])
+    assert (after.train | after.held_out).all() == near
+
+
 def test_rows_pasted_from_a_table_in_radians_are_put_right(tmp_path):
     """Fails if a whole pose in another unit is no mistake, and successive ones pass for a step that a cause explains."""
     data, _ = measured(tmp_path, Case(poses=70), 3)

@@ -40,6 +40,10 @@ GROUP = 0.5  # share of a payload's or marker's rows from which these are a clus
 RUN, SAME_WAY = 4, 0.7  # consecutive poses with errors in one direction (mean resultant length): a step or drift
 SMALL = 1e-4  # rad or m: difference step of a joint
 ALONG, SHARE = 0.9, 0.8  # cosine to a joint's direction of motion, in this share of the rows: an error of that joint
+FEWEST, NEARBY = (
+    3,
+    0.15,
+)  # poses, and the share of a joint's travel in which fewer than RUN of them lie: chance takes 1 in 5,000
 FLIPPED = "flipped-image"
 FLIPS = {"from the opposite corner": ("px_x", "px_y"), "mirrored along x": ("px_x",), "mirrored along y": ("px_y",)}
 MOSTLY = 0.8  # least share of an image's points: central ones hardly move
@@ -94,14 +98,19 @@ def clustered(data: Measurements, error: np.ndarray, off: np.ndarray) -> np.ndar
 
 
 def _along_one_joint(data: Measurements, fit: RobustFit, error: np.ndarray, rows: np.ndarray) -> bool:
-    """Return whether nearly all these rows have errors in the direction of motion of one joint."""
-    if len(data.table["pose"].iloc[rows].unique()) < RUN:
+    """Return whether nearly all these rows have errors in the direction of motion of one joint.
+
+    Of few poses, the joint must also stand nearly alike: a chipped tooth shows there alone, each time.
+    """
+    poses = len(data.table["pose"].iloc[rows].unique())
+    if poses < FEWEST:
         return False
     wrong = error[rows] / np.linalg.norm(error[rows], axis=1, keepdims=True)
     for joint in range(data.robot.n_joints):
         moved = fit.moved(data.conditions[:, rows], joint, SMALL)
         along = np.abs((moved * wrong).sum(axis=1)) > ALONG * np.linalg.norm(moved, axis=1)
-        if along.mean() >= SHARE:
+        spread = np.ptp(data.joint_angles[rows, joint]) / max(np.ptp(data.joint_angles[:, joint]), SMALL)
+        if along.mean() >= SHARE and (poses >= RUN or spread < NEARBY):
             return True
     return False
 
