@@ -398,7 +398,10 @@ def _told(calibration: cf.Calibration) -> Row:
     """Whether the wandering is named, or called unexplained."""
     names = set(names_of(calibration)["cause"])
     unexplained = bool((calibration.findings.table["status"] == "unexplained").any())
-    return {"names": ";".join(sorted(names)), "told": bool(names & {*DEVICE, "thermal-growth"}) or unexplained}
+    return {
+        "names": ";".join(sorted(names)),
+        "told": bool(names & {*DEVICE, "thermal-growth", "housing-growth"}) or unexplained,
+    }
 
 
 def _framed(error: Array, at: Prediction) -> float:
