@@ -10,15 +10,17 @@ import pytest
 
 from calflow.diagnosis.diagnosis import Diagnosis
 from calflow.diagnosis.extension import Extended
-from calflow.diagnosis.findings import Finding, _kept_together, _together, findings
+from calflow.diagnosis.findings import Finding, _kept_together, _overlapping, _together, findings
 from calflow.diagnosis.misfit import misfit
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.stepwise import Linearisation
+from calflow.diagnosis.unexplained import UnexplainedStructure
 from calflow.diagnosis.verdict import DeployedCauses
 from calflow.effects.base import NamedCause
 from calflow.estimation.calibrated_model import Alternative
 from calflow.files.problems import InputError
 from calflow.files.tables import from_frame, to_frame
+from calflow.model import build
 from diagnosis.found import cause, hidden, start
 from diagnosis.test_misfit import rng, rough
 from diagnosis.test_unexplained import fitted
@@ -135,3 +137,21 @@ def test_rivals_without_their_joints_are_refused():
     table["rival_joints"] = ["2"]
     with pytest.raises(InputError, match="rival_causes and rival_joints are not equally long"):
         from_frame(table, Finding)
+
+
+@pytest.mark.parametrize(("name", "part", "inputs", "doubted"), [
+    ("bearing-compliance", "joint1", ("payload",), True),
+    ("bearing-compliance", "joint1", ("q4",), False),
+    ("thermal-growth", "links", ("order",), True),
+    ("thermal-growth", "links", ("payload",), False),
+    ("joint-eccentricity", "joint2", ("q2", "q5"), True),
+    ("joint-eccentricity", "joint2", ("time",), False),
+    ("frame-drift", "device", ("time",), True),
+])  # fmt: skip
+def test_a_cause_is_doubted_where_more_is_left_along_an_input_through_which_it_acts(name, part, inputs, doubted):
+    """Fails if a soft bearing is certain while what a payload does is not explained, or a growth while time leaves more."""
+    acting = cause(name, part, **({"constant": 3600.0} if name == "thermal-growth" else {}))
+    model = replace(build(acting.robot, ("geometry",)), given=("time", "order"))
+    structure = UnexplainedStructure(inputs, 1e-9, 0.5, ())
+    assert _overlapping(acting, model, (structure,)) == (structure if doubted else None)
+    assert _overlapping(acting, model, ()) is None

@@ -40,6 +40,7 @@ from calflow.effects.base import (
 from calflow.estimation.accuracy import distances, error_jacobian, errors, judged_unit
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.curve import Curve
+from calflow.estimation.needed_conditions import depended_on
 from calflow.estimation.parameters import UNIT
 from calflow.estimation.variance_components import VarianceComponents
 from calflow.files.deferred import pd
@@ -48,6 +49,7 @@ from calflow.files.units import METRE
 from calflow.files.words import listed, rounded
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import blocks_of
+from calflow.model import Model
 from calflow.observations import leading_units
 
 NAN = float("nan")
@@ -370,8 +372,8 @@ def findings(
     suspected = [[n + k for k in members] for members in _kept_together(diagnosis.causes[n:])]
     for members in (*_kept_together(diagnosis.causes[:n]), *suspected):
         causes = [
-            _cause(diagnosis.verdicts[k], final, _overlapping(diagnosis.verdicts[k], diagnosis.left), k + 1, k < n)
-            for k in members
+            _cause(verdict, final, _overlapping(verdict.finding.cause, final.model, diagnosis.left), k + 1, k < n)
+            for k, verdict in ((k, diagnosis.verdicts[k]) for k in members)
         ]
         row = causes[0] if len(causes) == 1 else _together(causes, [diagnosis.verdicts[k] for k in members])
         before = steps[members[0]]
@@ -498,11 +500,12 @@ def _place(cause: Cause) -> str:
     return f"{cause.effect.place_word} {cause.joint}" if cause.joint else ""
 
 
-def _overlapping(verdict: Verdict, left: tuple[UnexplainedStructure, ...]) -> UnexplainedStructure | None:
-    """Return unexplained structure along a cause's input: its joint, time or order, or the payload."""
-    cause = verdict.finding.cause
-    inputs = set(IN_TIME) if cause.of_measuring() else {f"q{cause.joint}"} if cause.joint else set()
-    inputs = inputs | {"payload"} if "payload" in cause.effect.needs else inputs
+def _overlapping(cause: Cause, model: Model, left: tuple[UnexplainedStructure, ...]) -> UnexplainedStructure | None:
+    """Return unexplained structure along an input through which a cause acts: its joint's angle, time or order, or the payload."""
+    through = set(depended_on(replace(model, effects=(cause,)))) if left else set()
+    inputs = {f"q{cause.joint}"} if cause.joint and not cause.of_measuring() else set()
+    inputs |= set(IN_TIME) if cause.of_measuring() or not through.isdisjoint((*IN_TIME, "temperature")) else set()
+    inputs |= {"payload"} & through
     return next((structure for structure in left if inputs & set(structure.inputs)), None)
 
 

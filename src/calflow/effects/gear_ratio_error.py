@@ -8,7 +8,7 @@ from typing import Self
 
 import casadi as ca
 
-from calflow.effects.base import JOINT_ALONE, NEEDS, JointError, Term, Words
+from calflow.effects.base import JOINT_ALONE, NEEDS, TRANSMISSION, JointError, Term, Words
 from calflow.effects.warming import REFERENCE
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Row, State
@@ -27,6 +27,7 @@ class GearRatioError(JointError):
     id = "gear-ratio-error"
     title = "gear ratio error"
     words = Words("gear ratio error", "the joint turns more, or less, than its reading says", "excess")
+    family = TRANSMISSION
     readable = {"1": (1e6, "µrad/rad")}
     side_by_side = True
     told_by = JOINT_ALONE

@@ -41,10 +41,8 @@ def needed_conditions(model: Model, estimate: np.ndarray, data: Measurements) ->
     """
     model, rows = model.afterwards, data.only(data.train)
     needed = []
-    for condition in _depended_on(model):
-        dependent = [
-            effect.id for effect in model.effects if condition in _depended_on(replace(model, effects=(effect,)))
-        ]
+    for condition in _to_state(model):
+        dependent = [effect.id for effect in model.effects if condition in _to_state(replace(model, effects=(effect,)))]
         left = tuple(name for name in model.given if name != condition)
         lost = _points(model, estimate, rows) - _points(replace(model, given=left), estimate, rows)
         needed.append(
@@ -76,12 +74,15 @@ def _points(model: Model, estimate: np.ndarray, rows: Measurements) -> np.ndarra
     return model.point(estimate, rows.stating(model.given).conditions)
 
 
-def _depended_on(model: Model) -> list[str]:
-    """Return the optional conditions that a marker's position depends on, and that must be stated."""
+def depended_on(model: Model) -> list[str]:
+    """Return the conditions that a marker's position depends on, its readings among them."""
     _, c, predicted = model.symbols
     depends = np.array(ca.which_depends(predicted.point, c, 1, False), dtype=bool)
-    spans = Row.spans(model.robot, model.given)
-    return [name for name, span in spans.items() if name in model.given and name not in AT_REST and depends[span].any()]
+    return [name for name, span in Row.spans(model.robot, model.given).items() if depends[span].any()]
+
+
+def _to_state(model: Model) -> list[str]:
+    return [name for name in depended_on(model) if name in model.given and name not in AT_REST]
 
 
 def _columns(condition: str, robot: Robot) -> str:
