@@ -40,10 +40,8 @@ GROUP = 0.5  # share of a payload's or marker's rows from which these are a clus
 RUN, SAME_WAY = 4, 0.7  # consecutive poses with errors in one direction (mean resultant length): a step or drift
 SMALL = 1e-4  # rad or m: difference step of a joint
 ALONG, SHARE = 0.9, 0.8  # cosine to a joint's direction of motion, in this share of the rows: an error of that joint
-FEWEST, NEARBY = (
-    3,
-    0.15,
-)  # poses, and the share of a joint's travel in which fewer than RUN of them lie: chance takes 1 in 5,000
+# Poses, and the share of a joint's travel in which fewer than RUN of them lie: chance takes 1 in 5,000.
+FEWEST, NEARBY = 3, 0.15
 FLIPPED = "flipped-image"
 FLIPS = {"from the opposite corner": ("px_x", "px_y"), "mirrored along x": ("px_x",), "mirrored along y": ("px_y",)}
 MOSTLY = 0.8  # least share of an image's points: central ones hardly move

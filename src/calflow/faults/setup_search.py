@@ -27,9 +27,7 @@ PLACED, FITTED = 20, 8  # candidates kept after screening, and after rigid fits
 MIN_LOG_ODDS = np.log(1e3)  # odds against no mistake, and against another one
 NO_WORSE = 1.2  # largest ratio of remaining errors to those as stated
 MOST_GROSS = 0.2  # largest share of rows that may remain gross
-MOST_GROSS_BESIDE = (
-    0.5  # the same where all others agree as a robot's do: a second mistake may lie in rows (a lost turn)
-)
+MOST_GROSS_BESIDE = 0.5  # the same where all others agree as a robot's do: rows may have a mistake of their own
 MAX_REPORTED = 3  # reported together
 
 
