@@ -291,7 +291,7 @@ SPEAKS: list[tuple[Rule, Mapping[str, object], int, str]] = [
     (ranked.look_for_structure, {**diagnosed(), "diagnose/findings.csv": to_frame([MISFIT, CAUSE], Finding),
                                  "diagnose/candidates.csv": NEAR}, 2, "nothing that was tested explains it. Measure"),
     (ranked.look_for_structure, {"diagnose/findings.csv": to_frame([SUSPECTED], Finding)}, 2,
-     "It may be gear ratio error of joint 2; these poses do not show it clearly. Before"),
+     "It may be transmission error of joint 2; these poses do not show it clearly. Before"),
     (ranked.look_for_structure, {**diagnosed(), "diagnose/findings.csv": to_frame([MISFIT], Finding),
                                  "diagnose/candidates.csv": NEAR}, 2,
      "nothing that was tested explains it for certain (mass error of link 3 comes nearest)"),
