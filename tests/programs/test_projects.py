@@ -132,7 +132,9 @@ def check_landing(interpret, before, after, rows, shown=True, meant=True) -> tup
             following += 1
             assert matched, (was, miss, follows)
         elif miss < RIGHT_MM:
-            assert not shown or missed_mm(was, was, meant) > 10 * RIGHT_MM, "the robot lands without a correction: nothing is shown"
+            assert not shown or missed_mm(was, was, meant) > 10 * RIGHT_MM, (
+                "the robot lands without a correction: nothing is shown"
+            )
             right += 1
         elif miss == pytest.approx(unmoved := missed_mm(was, was, meant), abs=1e-9):
             same += 1
