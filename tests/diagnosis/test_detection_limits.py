@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calflow.diagnosis.candidates import detection_limits, f_threshold, noncentrality
+from calflow.diagnosis.candidates import detection_limits, noncentrality
 from calflow.diagnosis.regressors import Candidate, Held, Regressors
-from calflow.diagnosis.screening import Family, Screening
+from calflow.diagnosis.screening import Family, Screening, f_threshold
 from calflow.diagnosis.stepwise import CauseAcceptance, Screened
 from calflow.diagnosis.verdict import amplitude
 from calflow.effects import catalogue

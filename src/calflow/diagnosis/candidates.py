@@ -11,7 +11,7 @@ import scipy
 
 from calflow.diagnosis.diagnosis import Diagnosis
 from calflow.diagnosis.noise_growth import RANGE, Growth
-from calflow.diagnosis.screening import Score, by_place
+from calflow.diagnosis.screening import Score, by_place, f_threshold
 from calflow.diagnosis.stepwise import Screened
 from calflow.diagnosis.verdict import SIZE, amplitude
 from calflow.effects import Effect, catalogue
@@ -115,16 +115,6 @@ def _score(score: Score) -> CandidateRow:
         cause=score.cause.id, joint=score.cause.joint or None, statistic=score.drop, visible_share=score.visible_share,
         estimate=estimate, sd=sd, unit=score.cause.declared[0].unit, part=score.cause.part, detail=score.cause.detail,
     )  # fmt: skip
-
-
-def f_threshold(
-    false_alarm: float, tests: float | np.ndarray, degrees_of_freedom: int | np.ndarray, left: float | np.ndarray
-) -> np.ndarray:
-    """Return the ratios (…) beyond which F tests are significant at the family's false_alarm.
-
-    tests (…) are the equivalent numbers of tests, degrees_of_freedom and left (…) those of each test.
-    """
-    return np.asarray(scipy.stats.f.isf(-np.expm1(np.log1p(-false_alarm) / tests), degrees_of_freedom, left))
 
 
 def noncentrality(

@@ -108,6 +108,16 @@ class Score(Generic[H]):
         return self.candidate.cause
 
 
+def f_threshold(
+    false_alarm: float, tests: float | np.ndarray, degrees_of_freedom: int | np.ndarray, left: float | np.ndarray
+) -> np.ndarray:
+    """Return the ratios (…) beyond which F tests are significant at the family's false_alarm.
+
+    tests (…) are the equivalent numbers of tests, degrees_of_freedom and left (…) those of each test.
+    """
+    return np.asarray(scipy.special.fdtri(degrees_of_freedom, left, 1 + np.expm1(np.log1p(-false_alarm) / tests)))
+
+
 @dataclass(frozen=True)
 class Family:
     """Correction for multiple tests: equivalent number of independent tests of each place's variants, scans, and of all places.
@@ -393,7 +403,7 @@ class Screening(Generic[H]):
             causes = [self.regressors.candidates[member].cause for member in block.members]
             tests = np.array([family.scans.get(cause.place, 1.0) for cause in causes]) * family.places
             left = np.maximum(total - spent, 1.0)
-            threshold = scipy.special.fdtri(spent, left, 1 + np.expm1(np.log1p(-false_alarm) / tests))
+            threshold = f_threshold(false_alarm, tests, spent, left)
             ratio = weighed.squared / np.maximum(chi2 - weighed.squared, 1e-12 * chi2) * (left / spent)[:, None]
             members += block.members
             cost.append(weighed.cost)
