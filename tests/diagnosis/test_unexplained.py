@@ -57,6 +57,24 @@ def test_structure_is_told_with_its_inputs(shift, inputs):
     assert inputs <= set(left[0].inputs)
 
 
+def test_a_step_of_several_joints_is_told_from_its_row_on():
+    """Fails if what sets in at a row, and no single joint or tool does, is told without the row."""
+    model = build(industrial(), ("geometry",))
+    data = measured(model, model.nominal, 100, np.random.default_rng(6))
+    turned = data.conditions.copy()
+    turned[[1, 2, 4], 60:] += np.array([[2e-4], [-3e-4], [4e-4]])
+    moved = model.position(model.nominal, turned) - model.position(model.nominal, data.conditions)
+    data.table[["x", "y", "z"]] += moved
+    data = replace(data, table=data.table.assign(order=np.arange(1.0, 101.0)))
+    model = build(data.robot, ("geometry",), data.given)
+    fit, noise, lack, _ = fit_reweighted(model, data, stated(data), model.nominal[None], "linear")
+    left, *_ = unexplained(
+        Fitted(fit, data, noise, lack, "linear", noise), 0.01, np.random.default_rng(1), lambda _: None
+    )
+    assert left.inputs == ("order",)
+    assert left.detail == "since row 61 in measuring order"
+
+
 def test_what_is_certain_and_of_no_use_is_not_told(monkeypatch):
     """Fails if a dependence's share is not what it adds to the errors, or one that explains too little is told for its p-value."""
     known = fitted(lambda t: 2e-4 * np.outer(np.sin(3 * t["q1"]), [0, 0, 1]))
