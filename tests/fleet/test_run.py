@@ -178,6 +178,20 @@ def befalls(what, monkeypatch, folder):
     return folder / "ids"
 
 
+def test_a_robot_whose_process_is_killed_is_named_and_harms_no_other(plant, monkeypatch, tmp_path):
+    """Fails if a robot for which the memory does not suffice keeps others from being calibrated, or is not tried once more."""
+    shutil.rmtree(plant.measurements("C-3").parent)  # one other is enough
+    with monkeypatch.context() as patch:
+        ids = befalls("os.kill(os.getpid(), signal.SIGKILL)", patch, tmp_path / "befalls")
+        assert plant.fleet("run", "--cores", 2).code == 3
+    assert len(ids.read_text().split()) == 2
+    found = rows(plant.out)
+    assert [found[name].status for name in ROBOTS[:2]] == ["calibrated", "failed"]
+    assert found["B-2"].reason.startswith("its process was ended by SIGKILL")
+    assert plant.fleet("run", "--cores", 1).code == 0
+    assert [found.status for found in rows(plant.out).values()] == ["calibrated"] * 2
+
+
 @pytest.mark.parametrize(
     ("what", "reason"),
     [("os.kill(os.getpid(), signal.SIGKILL)", "its process was ended by SIGKILL"),
