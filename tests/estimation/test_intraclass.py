@@ -11,7 +11,7 @@ from calflow.estimation.noise import measured_noise
 from calflow.sampling.log_posterior import LogPosterior, log_posterior_of
 from sampling.calibrations import SIGMA, Case, Design
 
-SHARED = Design(poses=30, markers=3, shared=2 * SIGMA, level=0.0)
+SHARED = Design(poses=15, further=1, markers=3, shared=2 * SIGMA, level=0.0, joints=3)
 
 
 def errors(case, fitted):

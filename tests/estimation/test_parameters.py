@@ -113,7 +113,11 @@ def test_a_study_states_it_and_every_stage_keeps_to_it(small):
     """Fails if a held parameter is fitted, sampled or chosen poses for, or a run's model is opened without what was stated."""
     with (small / "study.toml").open("a") as file:
         file.write(STATED)
-    small.edit("quick.toml", ('"identify", "sample"]', '"identify", "diagnose", "sample", "report"]'))
+    small.edit(
+        "quick.toml",
+        ('"identify", "sample"]', '"identify", "diagnose", "sample"]'),
+        ("[settings.sample]", '[settings.diagnose]\ncatalogue = ["joint-eccentricity"]\n\n[settings.sample]'),
+    )
     assert small.calflow("run").code == 0
     table = pd.read_csv(small / "runs" / "identify" / "parameters.csv").set_index("parameter")
     held = table.loc["joint2.theta"]
