@@ -326,10 +326,9 @@ class Model:
         """The free parameters, part by part."""
         return tuple(parameter for parameter in self.declared if parameter.held is None)
 
-    @property
-    def afterwards(self) -> Model:
-        """The model for rows measured later (see `Effect.afterwards`)."""
-        later = tuple(effect.afterwards for effect in self.effects)
+    def later(self, same_clock: bool = True) -> Model:
+        """Return the model for rows measured later (see `Effect.later`)."""
+        later = tuple(effect.later(same_clock) for effect in self.effects)
         return self if later == self.effects else replace(self, effects=later)
 
     def columns(self, part: Observation | Effect) -> np.ndarray:

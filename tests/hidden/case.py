@@ -97,6 +97,7 @@ class Case:
     "session" and "sigma"; effects are the study's. The real robot's joints are compliant where effects or hidden say so.
     base replaces the robot file's (origin in mm, rotation in degrees). relative_sd [m] is in the robot file where the
     markers keep their places beside the first. settings is text at the end of study.toml. background is what no catalogue has.
+    The robot stands for pause [s] after half of the poses.
     """
 
     name: str = "case"
@@ -117,6 +118,7 @@ class Case:
     seed: int = 0
     settings: str = ""
     background: Background | None = None
+    pause: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -220,7 +222,7 @@ def _measure_rows(robot: Robot, case: Case, q: Array, rng: np.random.Generator) 
     carried = np.array([PAYLOADS.index(name) for name in case.payloads])[np.arange(poses) % len(case.payloads)]
     approach, travel, wound = _ways(robot, q, rng)
     pose, within = np.repeat(np.arange(poses), each), np.tile(np.arange(each), poses)
-    time = np.cumsum(rng.uniform(15, 45, poses))[pose] + 2.0 * within
+    time = np.cumsum(rng.uniform(15, 45, poses))[pose] + 2.0 * within + case.pause * (pose >= poses // 2)
     swing, phase = rng.uniform(1, 2), rng.uniform(0, 2 * np.pi)
     temperature = 20 + 6 * (1 - np.exp(-time / 3000)) + swing * np.sin(2 * np.pi * time / 2500 + phase)
     rows = Rows(

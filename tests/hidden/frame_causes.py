@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 SESSIONS = 4
 WARM_UP = 3600.0  # s
+STANDS = 1800.0  # s: between two rows
 
 
 def sessions(rows: Rows) -> Array:
@@ -76,7 +77,17 @@ def warm_zero(h: Hidden, robot: Robot, rows: Rows) -> Robot:
 
 
 def _warm(h: Hidden, rows: Rows) -> Array:
-    return 1 - np.exp(-rows.time / WARM_UP) if h.extra == "warm-up" else rows.temperature - 20
+    return warm_up(rows) if h.extra == "warm-up" else rows.temperature - 20
+
+
+def warm_up(rows: Rows) -> Array:
+    """How warm a robot is at each row, over as warm as it gets: it cools while it stands."""
+    warm, now = np.empty(len(rows.time)), 0.0
+    for k, passed in enumerate(np.diff(rows.time, prepend=0.0)):
+        end = float(passed < STANDS)
+        now = end + (now - end) * np.exp(-passed / WARM_UP)
+        warm[k] = now
+    return warm
 
 
 ON_ROBOT = {"link-growth": link_growth, "housing-growth": housing_growth, "warm-zero": warm_zero}

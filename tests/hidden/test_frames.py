@@ -13,11 +13,15 @@ from hidden.test_hidden import CLOCK, case, found
 DAYS = (*CLOCK, "session")
 WARM = ("approach", "temperature")
 ONE_MOVE = Hidden("session-frame", 0, 2e-4, 3)
+WARMS = Hidden("warm-zero", 2, 3e-4, "warm-up")
 EVERY: dict[str, tuple[Case, str]] = {
     "session-frame": (case("serial", Hidden("session-frame", 0, 3e-4), columns=DAYS, poses=90), "each session"),
     "session-frame of one move": (case("hh800", ONE_MOVE, columns=DAYS, poses=90), "from session day 3 on"),
     "frame-drift that wanders": (case("serial", Hidden("wander", 0, 1.2e-4), columns=CLOCK), "wandering"),
     "thermal-growth of one link": (case("serial", Hidden("link-growth", 2, 3e-4, "warm-up"), columns=CLOCK), "link 2"),
+    "housing-growth after a pause": (case("serial", WARMS, columns=CLOCK, pause=4 * 3600.0), "anew after each pause"),
+    "housing-growth after a short one": (case("serial", WARMS, columns=CLOCK, pause=3600.0), "anew after each pause"),
+    "housing-growth of one day after another": (case("serial", WARMS, columns=DAYS, pause=18 * 3600.0), "turning its zero"),
     "housing-growth": (case("serial", Hidden("housing-growth", 2, 3e-5), columns=WARM), "joint 2"),
     "housing-growth of a zero": (case("serial", Hidden("warm-zero", 2, 3e-5), columns=WARM), "turning its zero"),
 }  # fmt: skip

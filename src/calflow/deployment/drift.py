@@ -311,7 +311,7 @@ def drift(
     if not data.has_positions:
         raise refuse("expected a measured position in every row: what moved is told by positions alone", key="data")
     given = tuple(need.condition for need in calibrated.needed if need.condition in data.given)
-    calibrated = calibrated.later(given)
+    calibrated = calibrated.later(given, same_clock=False)
     attained = Attained.of(calibrated, data)
     stood, _ = stands(attained, station)
     fitted = bool(stood.all())  # where some frames are known, they tell of the robot's foot

@@ -361,9 +361,8 @@ class Effect(ABC):
         """Return the rows (n_rows,) in which the fitted rows do not tell whether it acts."""
         return np.zeros(len(data), dtype=bool)
 
-    @property
-    def afterwards(self) -> Self:
-        """The effect for rows measured later, whose places in measuring order count anew."""
+    def later(self, same_clock: bool) -> Self:
+        """Return the effect for rows measured later, whose order counts anew, and whose times do but on the same clock."""
         return self
 
     def completing(self, data: Measurements) -> tuple[Effect, ...]:
@@ -610,10 +609,9 @@ class Cause(ActingEffect):
         """Effect id and part, which all variants at this place share."""
         return self.effect.id, self.part
 
-    @property
-    def afterwards(self) -> Self:
-        """The cause for rows measured later."""
-        return replace(self, effect=self.effect.afterwards)
+    def later(self, same_clock: bool) -> Self:
+        """Return the cause for rows measured later."""
+        return replace(self, effect=self.effect.later(same_clock))
 
     @property
     def n_parameters(self) -> int:
@@ -677,10 +675,9 @@ class Carried(ActingEffect):
 
     title = "known beforehand"
 
-    @property
-    def afterwards(self) -> Self:
-        """The same for rows measured later."""
-        return replace(self, cause=self.cause.afterwards)
+    def later(self, same_clock: bool) -> Self:
+        """Return the same for rows measured later."""
+        return replace(self, cause=self.cause.later(same_clock))
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return none."""

@@ -59,9 +59,8 @@ class StepChange(Effect):
         last = fitted[fitted < self.moment].max(initial=-np.inf)
         return np.asarray((order > last) & (order < fitted[fitted > self.moment].min(initial=np.inf)))
 
-    @property
-    def afterwards(self) -> Self:
-        """The same at a moment before any row."""
+    def later(self, same_clock: bool) -> Self:
+        """Return the same at a moment before any row."""
         return replace(self, moment=-abs(self.moment))
 
     def finer(self, data: Measurements) -> tuple[Self, ...]:

@@ -15,16 +15,19 @@ from calflow.robot.robot import Robot
 
 REFERENCE = 293.15  # K: reference temperature of drawings (ISO 1)
 WARM_UPS = (900.0, 1800.0, 3600.0, 7200.0)  # s: time constants searched
+PAUSE = 10.0  # median times between rows: a longer one, and than the shortest time constant, is a pause
 
 
 @dataclass(frozen=True)
 class Warming(Effect):
     """An effect proportional to T - 20 degC, or to 1 - exp(-t / constant) as the robot warms up.
 
-    constant is the time constant of the warm-up [s]; 0 stands for a measured temperature.
+    constant is the time constant of the warm-up [s]; 0 stands for a measured temperature. In pauses, each from a time to
+    another [s], the robot cools down with the same constant: a body of one heat capacity, whose motors stand meanwhile.
     """
 
     constant: float = 0.0
+    pauses: tuple[tuple[float, float], ...] = ()
 
     shown_by = "warmth"
     taken_for = ("frame-drift",)
@@ -32,9 +35,16 @@ class Warming(Effect):
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
-        """Return growth with the temperature, and with a grid of time constants where times are known."""
+        """Return growth with the temperature and, where times are known, of an arm that warms up once or after each pause."""
         forms = (cls(robot),) if data.temperature_changes else ()
-        return (*forms, *(cls(robot, constant) for constant in WARM_UPS)) if "time" in data.given else forms
+        if "time" not in data.given:
+            return forms
+        breaks = dict.fromkeys([(), _pauses(data)])
+        return (*forms, *(cls(robot, constant, pauses) for pauses in breaks for constant in WARM_UPS))
+
+    def later(self, same_clock: bool) -> Self:
+        """Return the same without the pauses where times are of another clock: another series begins cold."""
+        return self if same_clock else replace(self, pauses=())
 
     def finer(self, data: Measurements) -> tuple[Self, ...]:
         """Return time constants about this one."""
@@ -45,16 +55,42 @@ class Warming(Effect):
     @property
     def detail(self) -> str:
         """What it grows with."""
-        return f"warming up in {self.constant / 3600:.2g} h" if self.constant else "with the temperature"
+        if not self.constant:
+            return "with the temperature"
+        return f"warming up in {self.constant / 3600:.2g} h{', anew after each pause' if self.pauses else ''}"
+
+    @property
+    def variant(self) -> str:
+        """Short name of the form, without the pauses' times, which come from the data."""
+        return replace(self, pauses=()).variant + " anew" if self.pauses else super().variant
 
     def warmth(self, row: Row) -> ca.SX:
         """Return the temperature above 20 degC [K], or the warm-up curve (0 to 1); structurally zero where a row has neither."""
-        if self.constant:
-            return 1 - ca.exp(-row.time / self.constant) if row.time.nnz() else ca.SX(1, 1)
-        return row.temperature - REFERENCE if row.temperature.nnz() else ca.SX(1, 1)
+        if not self.constant:
+            return row.temperature - REFERENCE if row.temperature.nnz() else ca.SX(1, 1)
+        if not row.time.nnz():
+            return ca.SX(1, 1)
+        risen = self._risen(row.time)
+        for end, start in self.pauses:
+            risen += self._risen(row.time - start) - self._risen(row.time - end)
+        return risen
+
+    def _risen(self, passed: ca.SX) -> ca.SX:
+        """Return the response to a step of heating, a time after it [s]."""
+        return 1 - ca.exp(-ca.fmax(0, passed) / self.constant)
 
     def variable(self, joint: int) -> Variable:
         """Return the temperature, or the time."""
         if self.constant:
             return Variable("time", "h", lambda state, row: row.time, 1 / 3600)
         return Variable("temperature above 20 degC", "K", lambda state, row: row.temperature - REFERENCE)
+
+
+def _pauses(data: Measurements) -> tuple[tuple[float, float], ...]:
+    """Return the pauses between rows, each as the times [s] of the row before and after it."""
+    every = np.unique(data.table["time"].to_numpy(float))
+    gaps = np.diff(every)
+    if not len(gaps):
+        return ()
+    paused = np.flatnonzero(gaps > max(WARM_UPS[0], PAUSE * np.median(gaps)))
+    return tuple((float(every[k]), float(every[k + 1])) for k in paused)

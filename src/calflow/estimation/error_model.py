@@ -28,6 +28,7 @@ from calflow.estimation.probing import Probe
 from calflow.estimation.smooth_functions import (
     AtAnyTime,
     BeyondTravel,
+    Cooling,
     InPlace,
     InTime,
     JointField,
@@ -58,6 +59,7 @@ FUNCTIONS: Mapping[str, type[SmoothFunction]] = {
     "BeyondTravel": BeyondTravel,
     "Later": Later,
     "AtAnyTime": AtAnyTime,
+    "Cooling": Cooling,
 }
 VISIBLE = 0.05  # least variance of a part over the white noise's: no noise is stated more accurately
 INSIDE = 1e-9  # share of the distance to a bound that a step leaves
@@ -524,14 +526,15 @@ def beyond_measured(errors: ErrorModel, sizes: SmoothVariances) -> ErrorModel:
     """Return an error model extended beyond the measurement: curves past their travel, and drifts as random walks in time.
 
     A cause of the device's frame is a drift, too: its walk has the variance estimated without that cause, and starts from the
-    cause's last value. During the measurement the cause describes it, and it is no error of the robot. Where there is no such
-    cause, a warm-up in time takes its place, as its continuation is as uncertain.
+    cause's last value. During the measurement the cause describes it, and it is no error of the robot. A warm-up goes on, but
+    the robot may be switched off.
 
     Args:
         errors: the error model at the measured rows.
         sizes: variances of the smooth errors beside the model.
     """
-    return _beyond_time(_beyond_travel(errors, sizes.result, sizes.data), sizes)
+    beyond_travel = _beyond_travel(errors, sizes.result, sizes.data)
+    return _beyond_time(_cooling(beyond_travel, sizes.result, sizes.data), sizes)
 
 
 def _beyond_travel(errors: ErrorModel, result: Fit, data: Measurements) -> ErrorModel:
@@ -551,9 +554,8 @@ def _beyond_time(errors: ErrorModel, sizes: SmoothVariances) -> ErrorModel:
     causes = [
         effect for effect in result.model.effects if effect.family == OF_THE_FRAME and "session" not in effect.needs
     ]
-    trends = causes or [effect for effect in result.model.effects if _warms_up(effect)]
     steps, left = in_time(data), _walks(sizes)
-    if not steps or not (trends or any(left.values())):
+    if not steps or not (causes or any(left.values())):
         return errors
     by_order = steps[0].clock == "order"
     if by_order:
@@ -561,7 +563,7 @@ def _beyond_time(errors: ErrorModel, sizes: SmoothVariances) -> ErrorModel:
         errors = errors.only(
             np.array([not isinstance(function, InTime) for function in errors.function_of], dtype=bool)
         )
-    walks = _walks(sizes.without(trends)) if trends else left
+    walks = _walks(sizes.without(causes)) if causes else left
     for of, walk in walks.items():
         functions: list[SmoothFunction]
         if by_order:
@@ -587,9 +589,14 @@ def _beyond_time(errors: ErrorModel, sizes: SmoothVariances) -> ErrorModel:
     return errors
 
 
-def _warms_up(effect: Effect) -> bool:
-    acting = effect.effect if isinstance(effect, Cause) else effect
-    return isinstance(acting, Warming) and acting.constant > 0
+def _cooling(errors: ErrorModel, result: Fit, data: Measurements) -> ErrorModel:
+    losses = []
+    for cause in (effect for effect in result.model.effects if isinstance(effect, Cause)):
+        warming, values = cause.effect, tuple(result.estimate[result.model.columns(cause)].tolist())
+        if isinstance(warming, Warming) and warming.constant:
+            end = float(data.table["time"].max())
+            losses.append(Cooling(data.robot, cause.id, warming.figures_text, cause.part, values, end))
+    return errors.with_functions(losses, np.ones(len(losses)))
 
 
 def _walks(sizes: SmoothVariances) -> dict[str, float]:

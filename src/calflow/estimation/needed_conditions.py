@@ -39,7 +39,7 @@ def needed_conditions(model: Model, estimate: np.ndarray, data: Measurements) ->
     The graph's sparsity tells them, so that an effect need not declare its inputs. Conditions on which only the measuring device
     depends are left out.
     """
-    model, rows = model.afterwards, data.only(data.train)
+    model, rows = model.later(), data.only(data.train)
     needed = []
     for condition in _to_state(model):
         dependent = [effect.id for effect in model.effects if condition in _to_state(replace(model, effects=(effect,)))]

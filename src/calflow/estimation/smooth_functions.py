@@ -18,7 +18,7 @@ import numpy as np
 import scipy
 
 from calflow.effects import Effect
-from calflow.effects.base import JointError, Term
+from calflow.effects.base import Cause, JointError, Term, effect_class
 from calflow.effects.board_bent import REACH, bow
 from calflow.effects.thermal_growth import GROWTH_SD, grown
 from calflow.effects.tracker_scale import TrackerScale
@@ -44,6 +44,7 @@ FADE = 0.05  # share of a measured travel beyond its ends within which its curve
 BEYOND_WAVES = 8  # frequencies of a curve beyond its travel, each with cosine and sine
 # Steps of a random walk during the measurement, of equal numbers of rows, besides pauses; a robot warms up steadily.
 STEPS, STEPS_OF_ROBOT = 16, 4
+SHIFT = 8 * 3600.0  # s: how long a robot works on, on average
 STATIONARY = 10  # time constants before the measurement, at which a stationary walk begins
 
 
@@ -355,6 +356,45 @@ class Later(Wandering):
             return ca.SX(1, 1)
         beyond = ca.fmax(0, ca.fmax(self.begin - row.time, row.time - self.end))
         return ca.sqrt(self.diffusion(beyond) / ((self.end - self.begin) or 1.0))
+
+
+@dataclass(frozen=True)
+class Cooling(SmoothFunction):
+    """What a warm-up loses after the measurement's end [s] if the robot stands from some moment on, which nobody knows.
+
+    The warm-up is given by its effect's id, its figures (see `Effect.figures_text`), its part and the fitted values.
+    """
+
+    effect: str = ""
+    variant_figures: str = "{}"
+    part: str = ""
+    values: tuple[float, ...] = ()
+    end: float = 0.0
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Time."""
+        return ("time",)
+
+    @cached_property
+    def cause(self) -> Cause:
+        """The warm-up, from the end on."""
+        kind = effect_class(self.effect)
+        assert kind
+        return Cause(self.robot, kind.of_figures(self.robot, self.variant_figures).later(same_clock=False), self.part)
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return the amplitude."""
+        return self.amplitudes("links", ("cooling",), "1", 1.0)
+
+    def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
+        """Return the dimensions with the loss at the root of the probability that the robot stands by then."""
+        if not row.time.nnz():
+            return dims
+        since = ca.fmax(0, row.time - self.end)
+        stands = ca.sqrt(1 - ca.exp(-since / SHIFT))
+        effect, values = self.cause.acting(ca.SX(ca.DM(self.values)) * p * stands)
+        return effect.dimensions(values, dims, replace(row, time=since))
 
 
 @dataclass(frozen=True)
