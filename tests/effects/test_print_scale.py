@@ -16,5 +16,8 @@ def test_a_print_that_is_longer_one_way_is_findings_of(tmp_path):
 
 
 def test_a_print_that_is_too_large_all_over_is_not_told_from_longer_links(tmp_path):
-    """Fails if a cause is named for what any camera sees alike: a larger print before a larger robot."""
+    """Fails if a cause is named for what any camera sees alike: a larger print before a larger robot.
+
+    Or if the errors of a worn arm are taken for a bowed board, or a slip of board or camera.
+    """
     assert findings_of(tmp_path, of_plate(13, BOARD * [1.003, 1.003, 1.0])).empty

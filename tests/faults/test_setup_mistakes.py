@@ -161,7 +161,7 @@ def test_payloads_of_each_others_name_are_settled_before_causes(measured):
     swapped = with_columns(measured, payload=measured.table["payload"].replace({"half": "full", "full": "half"}))
     (fault,) = examined(swapped)[1]
     assert (fault.cause, fault.action) == ("payloads-exchanged", "unsettled")
-    diagnosed = identify(swapped.robot, swapped, ["geometry", "joint-compliance"]).diagnose()
+    diagnosed = identify(swapped.robot, swapped, ["geometry", "joint-compliance"], starts=1).diagnose()
     assert [finding.cause for finding in diagnosed.findings if finding.status in ("named", "one_of")] == []
     assert "settle this first" in diagnosed.findings[0].statement
     pounds = {name: replace(load, mass=load.mass / 0.45359) for name, load in measured.robot.payloads.items()}

@@ -191,7 +191,7 @@ SEED = 3
 @pytest.fixture(scope="module")
 def found() -> cf.Calibration:
     """Both arms identified."""
-    return cf.identify(robot(), measured(SEED, nothing), effects=["geometry", "joint-compliance"])
+    return cf.identify(robot(), measured(SEED, nothing), effects=["geometry", "joint-compliance"], starts=1)
 
 
 @pytest.fixture(scope="module")
@@ -253,12 +253,10 @@ def test_an_arm_that_touches_the_other_calibrates_both():
     assert fitted.left < 1.3 * NOISE
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-def test_what_is_wrong_on_one_arm_is_found_there(seed):
+def test_what_is_wrong_on_one_arm_is_found_there():
     """Fails if an arm's cause is missed, or taken for one of the other arm's or the torso's."""
-    better = cf.identify(robot(), measured(seed, eccentric), effects=["geometry", "joint-compliance"]).diagnose(
-        false_alarm=0.01
-    )
+    fitted = cf.identify(robot(), measured(1, eccentric), effects=["geometry", "joint-compliance"], starts=1)
+    better = fitted.diagnose(false_alarm=0.01)
     assert [(one.cause, one.joint) for one in better.findings][:1] == [("joint-eccentricity", 7)]
     assert all(rival.joint in (0, 7) for rival in better.findings[0].rivals)
     assert better.findings[0].estimate == pytest.approx(3e-4, abs=4 * better.findings[0].sd)
