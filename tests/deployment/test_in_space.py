@@ -18,11 +18,13 @@ from calflow.robot.frames import placement_matrix
 from observations.photographed import BESIDE, IN_GRIPPER, PANDA, UR5E, board, photographed
 from observations.test_camera import COLUMNS, seen_from_nowhere, study
 
+COARSE = board(4, 3, 0.07)  # as large as the usual one, of a quarter of its points
+
 
 @pytest.mark.parametrize(("arm", "in_hand"), [(UR5E, True), (PANDA, False)])
 def test_images_tell_where_what_moves_really_is(arm, in_hand):
     """Fails if a camera, or a target, that is some millimetres aside shows otherwise in space, whatever it is in pixels."""
-    made = photographed(arm, in_hand, 5, np.random.default_rng(2), noise=0.0, worn=arm)
+    made = photographed(arm, in_hand, 5, np.random.default_rng(2), noise=0.0, points=COARSE, worn=arm)
     on = {"camera_on": "tool", "target_on": "world"} if in_hand else {}
     known = {"focal": made.lens.focal, "centre": made.lens.centre, "distortion": made.lens.bend}
     camera = seen_from_nowhere(made, arm, on | known)
@@ -61,11 +63,17 @@ def missed(found, made, turned=lambda q: q) -> float:
     return 1e3 * float(np.sqrt((off**2).sum(axis=1).mean()))
 
 
-def test_what_is_promised_holds_and_hand_eye_alone_is_told(tmp_path):
+@pytest.fixture(scope="module")
+def calibrated(tmp_path_factory):
+    """Photographs by a camera in the hand, their study, and what is identified of a tool that is known."""
+    made = photographed(UR5E, True, 30, np.random.default_rng(1), points=COARSE)
+    kept = study(tmp_path_factory.mktemp("in_hand"), made, "ur5e", True)
+    return made, kept, identify(kept.robot, kept.measurements(), ["geometry"], starts=1)
+
+
+def test_what_is_promised_holds_and_hand_eye_alone_is_told(calibrated):
     """Fails if the tool's promise over the joints' ranges is not what the arm errs by there, base and tool taught."""
-    made = photographed(UR5E, True, 30, np.random.default_rng(1))
-    kept = study(tmp_path, made, "ur5e", True)
-    found = identify(kept.robot, kept.measurements(), ["geometry"], starts=1)
+    made, _, found = calibrated
     rows = found.in_space
     assert 0.5 < missed(found, made) / rows[-1].rms_mm < 1.6
     held_out = {row.model: row.mean_mm for row in rows if row.where == "holdout"}
@@ -83,16 +91,16 @@ def test_what_is_promised_holds_and_hand_eye_alone_is_told(tmp_path):
     assert len(space_words(rows)) == 2
 
 
-def test_a_tool_that_nobody_knows_takes_nothing_off_the_promise(tmp_path):
+def test_a_tool_that_nobody_knows_takes_nothing_off_the_promise(calibrated):
     """Fails if a tool's point, which no image tells, counts as an error of the robot once it is taught."""
-    made = photographed(UR5E, True, 20, np.random.default_rng(4))
-    kept, promised = study(tmp_path, made, "ur5e", True), []
-    for known in (True, False):
-        robot = replace(kept.robot, markers={"tool": replace(kept.robot.markers["tool"], known=known)})
-        found = identify(robot, kept.measurements(), ["geometry"], starts=1)
-        rows = found.in_space
-        assert not is_no_better(rows)
-        promised.append(next(row.rms_mm for row in rows if row.where == RANGES and row.model != ALONE))
+    _, kept, known = calibrated
+    robot = replace(kept.robot, markers={"tool": replace(kept.robot.markers["tool"], known=False)})
+    unknown = identify(robot, kept.measurements(), ["geometry"], starts=1)
+    assert not is_no_better(unknown.in_space)
+    promised = [
+        next(row.rms_mm for row in found.in_space if row.where == RANGES and row.model != ALONE)
+        for found in (known, unknown)
+    ]
     assert promised[1] == pytest.approx(promised[0], rel=0.1)
 
 
@@ -126,7 +134,7 @@ def test_what_a_board_errs_by_is_carried_to_the_tool(tmp_path):
 def test_a_tool_that_is_no_better_is_said(tmp_path):
     """Fails if few images from nearly one place, which fit to parts of a pixel, pass for a calibrated tool on page one or in px."""
     rng = np.random.default_rng(3)
-    made = photographed(PANDA, False, 2, rng, worn=PANDA.worn(rng, 2e-4, 1e-4))
+    made = photographed(PANDA, False, 2, rng, points=COARSE, worn=PANDA.worn(rng, 2e-4, 1e-4))
     near = made.rows[made.rows["pose"] == 1]
     q = near.filter(like="q").iloc[0].to_numpy() + 0.05 * rng.standard_normal((14, 7))
     rows = []
