@@ -29,7 +29,7 @@ def assert_step(seen: Findings, hidden: Hidden, detail: str = "after row") -> No
     assert abs(first["estimate"]) == pytest.approx(abs(hidden.size), abs=4 * first["sd"])
 
 
-@pytest.mark.parametrize("joint", range(2, 7))
+@pytest.mark.parametrize("joint", [3, 6])
 def test_a_joint_that_jumps_is_no_link_that_grows(joint, tmp_path):
     """Fails if a zero's jump of 0.02 deg is missed, called something else, or told apart from a tool that slipped at the last."""
     hidden = Hidden("joint-step", joint, (-1) ** joint * JUMP, seed=joint)
@@ -50,7 +50,7 @@ SLIPS = {
 def test_a_tool_that_slips_is_found(name, tmp_path):
     """Fails if a slip is missed, called the device's step, or put to the tool where one marker alone slipped."""
     hidden, markers, detail = SLIPS[name]
-    seen = found(tmp_path, case("serial", hidden, columns=CLOCK, markers=markers), 32)
+    seen = found(tmp_path, case("serial", hidden, columns=CLOCK, markers=markers, poses=120 // markers), 32)
     first = seen.causes.iloc[0]
     assert len(seen.causes) == 1, seen.causes
     assert (first["cause"], first["status"]) == ("tool-slip", "named")
