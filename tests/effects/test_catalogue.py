@@ -14,6 +14,7 @@ import pytest
 
 from calflow.effects import Effect, catalogue
 from calflow.effects.base import Cause
+from calflow.effects.joint_error_map import LENGTHS
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import condition_columns, numbered
 from calflow.measurements.series import Series, Station
@@ -266,7 +267,7 @@ LACKING: list[tuple[str, Callable[[Measurements], Measurements], str]] = [
     ("session-frame", lambda data: replace(data, series=(Series(station=Station(by_session=True)),)), "by_session"),
     *((name, lambda data: without(data, "order"), "measuring order") for name in sorted(STEPS)),
     ("range-noise", lambda data: without(data, "range"), "tracker_mm"),
-    ("joint-error-map", lambda data: data.only(np.arange(len(data)) < 50), "readings per 0.05 rad"),
+    ("joint-error-map", lambda data: data.only(np.arange(len(data)) < 8), "readings per 0.5 rad"),
     ("axis-straightness", lambda data: data, "prismatic joint"),
     ("gravity-deflection", lambda data: data, "joint-compliance"),
     ("base-tilt", lambda data: data, "base-compliance"),
@@ -293,6 +294,18 @@ def test_the_others_need_nothing(full: Measurements, name: str) -> None:
     poor = poor.only(np.arange(len(poor)) < 50)
     assert catalogue()[name].lacking(poor.robot, poor) == ""
     assert catalogue()[name].variants(poor.robot, poor)
+
+
+def test_a_curve_is_looked_for_at_lengths_that_the_poses_resolve(full: Measurements) -> None:
+    """Fails if few poses are asked for a rough curve, or for none although they show a smooth one."""
+    few = full.only(np.arange(len(full)) < 60)
+    travels = np.ptp(few.joint_angles, axis=0)
+    assert [effect.length for effect in catalogue()["joint-error-map"].variants(full.robot, full)] == list(LENGTHS)
+    found = catalogue()["joint-error-map"].variants(few.robot, few)
+    assert 0 < len(found) < len(LENGTHS)
+    for effect in found:
+        looked_for = np.array(effect.high) > np.array(effect.low)
+        assert (travels[looked_for] <= len(few) * effect.length / 2).all()
 
 
 def test_a_size_is_of_one_unit(benches: dict[str, Bench]) -> None:

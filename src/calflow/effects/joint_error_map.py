@@ -17,7 +17,8 @@ from calflow.robot.robot import Robot
 AMPLITUDE = 2e-4  # rad rms a priori
 LENGTHS = (0.06, 0.15, 0.5)  # rad: correlation lengths searched
 FINEST = 0.05  # rad: finest resolution
-DENSE = 2  # distinct readings required per step of the finest resolution
+DENSE = 2  # distinct readings required per correlation length
+SHORTEST = 0.25  # rad: travel with a curve
 GRID = 1000  # angles over the travel, for means
 
 
@@ -42,19 +43,22 @@ class JointErrorMap(JointError):
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
-        """Return maps at each correlation length, of the joints whose travel is covered densely."""
+        """Return maps at each correlation length, of the joints whose travel is covered densely enough for it."""
         q = data.joint_angles
-        low, high = q.min(axis=0), q.max(axis=0)
-        dense = _dense(robot, data)
-        if not dense.any():
-            return ()
-        first, last = (tuple(map(float, np.where(dense, side, 0.0))) for side in (low, high))
-        return tuple(cls(robot, first, last, length) for length in LENGTHS)
+        forms = []
+        for length in LENGTHS:
+            dense = _dense(robot, data, length)
+            low, high = (tuple(map(float, np.where(dense, side, 0.0))) for side in (q.min(axis=0), q.max(axis=0)))
+            if dense.any():
+                forms.append(cls(robot, low, high, length))
+        return tuple(forms)
 
     @classmethod
     def unfit(cls, robot: Robot, data: Measurements) -> str:
         """Return the density of readings required where no joint has it."""
-        return "" if _dense(robot, data).any() else f"at least {DENSE} different readings per {FINEST} rad of a joint"
+        longest = max(LENGTHS)
+        few = f"at least {DENSE} different readings per {longest} rad of a joint"
+        return "" if _dense(robot, data, longest).any() else few
 
     @property
     def detail(self) -> str:
@@ -86,10 +90,10 @@ class JointErrorMap(JointError):
         return [Term(f"wave{wave.number}", "rad", AMPLITUDE * wave.sd, 0.05, wave.value) for wave in curve]
 
 
-def _dense(robot: Robot, data: Measurements) -> np.ndarray:
-    """Return which joints are revolute and densely covered."""
+def _dense(robot: Robot, data: Measurements, length: float) -> np.ndarray:
+    """Return which joints are revolute and covered densely enough for a correlation length [rad]."""
     q = data.joint_angles
-    steps = np.ptp(q, axis=0) / FINEST
+    travel = np.ptp(q, axis=0)
     different = np.array([len(np.unique(np.round(column, 4))) for column in q.T])
     turns = np.array([joint.kind == "revolute" for joint in robot.joints])
-    return turns & (steps > 5) & (different >= DENSE * steps)
+    return turns & (travel > SHORTEST) & (different >= DENSE * travel / length)
