@@ -63,6 +63,15 @@ def test_a_rule_of_masses_follows_a_real_arms_moment(serial, moved):
     assert left(serial, "alike", moved) > 2 * left(serial, "direction", moved)
 
 
+def test_payloads_of_unknown_mass_tilt_the_base_too(serial, moved):
+    """Fails if the moment arm of a load that nobody weighed is left out, or loads of different weight share a compliance."""
+    unknown = replace(
+        serial, payloads={name: replace(load, mass=load.mass and None) for name, load in serial.payloads.items()}
+    )
+    assert left(unknown, "moments", moved) < 0.03
+    assert left(unknown, "direction", moved) < 0.2
+
+
 def test_known_masses_make_it_needless(serial):
     """Fails if a foundation is looked for twice."""
     known = Robot(**parts_of(robot_file(stated_tables(Case()), masses=True), Origin(Path(), (), {})))

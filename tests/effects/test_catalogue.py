@@ -29,6 +29,7 @@ VARIANTS = {  # how many forms there are to try, where not one
     "joint-eccentricity": 2,
     "gear-transmission-error": 2,
     "gravity-compensator": 5,
+    "gravity-deflection": 2,
     "link-bending": 3,
     "bearing-compliance": 2,
     "joint-hysteresis": 5,

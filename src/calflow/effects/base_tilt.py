@@ -13,6 +13,7 @@ from calflow.effects.base import Effect, Variable, Words
 from calflow.robot.frames import apply
 from calflow.robot.mechanism import Deflection, Posture, Row, State, nominal_dimensions, nominal_loads, pose
 from calflow.robot.parts import Parameter
+from calflow.robot.robot import Robot
 
 TILT_SD, TILT_BOUND = 1e-4, 5e-3  # rad under the arm's own largest moment
 LIGHTER = 0.5  # assumed ratio of a link's mass to its predecessor's, where masses are unknown
@@ -27,7 +28,7 @@ COMPLIANCES: dict[Shape, tuple[str, ...]] = {
 
 
 class Arm(NamedTuple):
-    """Assumed mass distribution of the arm: masses relative to the first link's, and link lengths [m].
+    """Assumed mass distribution of an arm: masses relative to the first link's, and link lengths [m].
 
     carried lists for each link those it carries, itself included; reach is the length of the longest chain [m].
     """
@@ -36,6 +37,22 @@ class Arm(NamedTuple):
     lengths: tuple[float, ...]
     carried: tuple[tuple[int, ...], ...]
     reach: float
+
+    @staticmethod
+    def of(robot: Robot) -> Arm:
+        """Return the mass distribution that the links' nominal lengths suggest."""
+        at = pose(robot, nominal_dimensions(robot), ca.SX.zeros(robot.n_joints), Deflection.zero(robot.n_joints))
+        spans = (end[:3, 3] - joint[:3, 3] for joint, end in zip(at.joints, at.ends[1:], strict=True))
+        lengths = tuple(float(ca.DM(ca.evalf(ca.norm_2(span)))) for span in spans)
+        chains = [robot.chain(link + 1) for link in range(robot.n_joints)]
+        reach = max(sum(lengths[k] for k in chain) for chain in chains)
+        return Arm(tuple(LIGHTER ** (len(chain) - 1) for chain in chains), lengths, robot.carried, reach)
+
+    def first_moment(self, at: Posture[ca.SX]) -> ca.SX:
+        """Return the sum of masses times centres in a posture, over the largest moment about the base, (3,)."""
+        middles = [(joint[:3, 3] + end[:3, 3]) / 2 for joint, end in zip(at.joints, at.ends[1:], strict=True)]
+        weighed = (mass * middle for mass, middle in zip(self.masses, middles, strict=True))
+        return sum(weighed, ca.SX(3, 1)) / sum(self.moments)
 
     @property
     def moments(self) -> list[float]:
@@ -52,7 +69,8 @@ class BaseTilt(Effect):
 
     Moments are linear in the links' first moments, whatever the masses (Khalil and Dombre 2002). With shape "moments" each
     first moment has a C of its own; otherwise each link is assumed half as heavy as the one before, which reproduces the
-    variation of real arms' moments over poses to a few per cent. Payloads of known mass tilt the base by a separate C.
+    variation of real arms' moments over poses to a few per cent. Payloads of known mass tilt the base by a separate C, and each
+    of unknown mass by one of its own: its weight times C, per metre of its moment arm, which its centre gives.
     """
 
     shape: Shape = "alike"
@@ -69,13 +87,7 @@ class BaseTilt(Effect):
     @cached_property
     def _arm(self) -> Arm:
         """The assumed mass distribution, with the links' nominal lengths."""
-        robot = self.robot
-        at = pose(robot, nominal_dimensions(robot), ca.SX.zeros(robot.n_joints), Deflection.zero(robot.n_joints))
-        spans = (end[:3, 3] - joint[:3, 3] for joint, end in zip(at.joints, at.ends[1:], strict=True))
-        lengths = tuple(float(ca.DM(ca.evalf(ca.norm_2(span)))) for span in spans)
-        chains = [robot.chain(link + 1) for link in range(robot.n_joints)]
-        reach = max(sum(lengths[k] for k in chain) for chain in chains)
-        return Arm(tuple(LIGHTER ** (len(chain) - 1) for chain in chains), lengths, robot.carried, reach)
+        return Arm.of(self.robot)
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the tilts about the base's axes under the arm's largest moment, and the compliances under payloads."""
@@ -93,13 +105,13 @@ class BaseTilt(Effect):
                     )
                     for axis in "xy"
                 ]
-        if self._reach:
-            sd, bound = TILT_SD / self._reach, TILT_BOUND / self._reach
-            forms += [
-                Parameter(self.id, "base", f"p{symbol}", "rad/Nm", sd, 0.0 if symbol in low else -bound, bound,
-                          meaning=f"{words} per moment of the payload")
-                for symbol in COMPLIANCES[self.shape]
-            ]  # fmt: skip
+        of_payloads = [("", "rad/Nm", self._reach, "per moment of the payload")] if self._reach else []
+        of_payloads += [(name, "rad/m", self._arm.reach, f"per arm of payload {name}") for name in self._unknown]
+        forms += [
+            Parameter(self.id, "base", f"p{symbol}{name and '_' + name}", unit, TILT_SD / arm,
+                      0.0 if symbol in low else -TILT_BOUND / arm, TILT_BOUND / arm, meaning=f"{words} {per}")
+            for name, unit, arm, per in of_payloads for symbol in COMPLIANCES[self.shape]
+        ]  # fmt: skip
         return tuple(forms)
 
     def _tilt(self, symbol: str, lower: float, share: float, words: str) -> Parameter:
@@ -113,15 +125,11 @@ class BaseTilt(Effect):
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
         """Return the deflection with the base tilted."""
-        compliances = COMPLIANCES[self.shape]
-        moments = self._moments(row)
-        n_own = moments.shape[1] * len(compliances)
-        tilt = ca.SX(2, 1)
-        for of, arm in ((p[:n_own], moments), (p[n_own:], self._payload_moment(row) if p.numel() > n_own else None)):
-            if arm is None:
-                continue
-            weighed = [arm @ share for share in ca.vertsplit(of, arm.shape[1])]
-            tilt += _tilted(dict(zip(compliances, weighed, strict=True)))
+        compliances, tilt, begin = COMPLIANCES[self.shape], ca.SX(2, 1), 0
+        for arm in (self._moments(row), *self._payload_moments(row)):
+            end = begin + arm.shape[1] * len(compliances)
+            weighed = [arm @ share for share in ca.vertsplit(p[begin:end], arm.shape[1])]
+            tilt, begin = tilt + _tilted(dict(zip(compliances, weighed, strict=True))), end
         link = ca.SX(still.link)
         link[3:5, 0] = tilt
         return replace(still, link=link)
@@ -132,20 +140,24 @@ class BaseTilt(Effect):
         if self.shape == "moments":
             tilts = [ca.cross(frame[:3, axis], down)[:2] for frame in at.links for axis in (0, 1)]
             return ca.horzcat(*tilts)
-        total = ca.SX(3, 1)
-        for mass, joint, end in zip(arm.masses, at.joints, at.ends[1:], strict=True):
-            total += mass * ca.cross((joint[:3, 3] + end[:3, 3]) / 2, down)
-        return total[:2] / sum(arm.moments)
+        return ca.cross(arm.first_moment(at), down)[:2]
 
-    def _payload_moment(self, row: Row) -> ca.SX:
-        """Return the payload's overturning moment [Nm], shape (2, 1)."""
-        at, loads = self._posture(row), nominal_loads(self.robot)
-        total = ca.SX(3, 1)
-        for k in range(len(self.robot.payloads)):
-            weight = row.payload[k] * loads.payload_mass[k] * ca.DM(self.robot.gravity)
-            link = at.frame(self.robot, self.robot.payload_links[k])
-            total += ca.cross(apply(link, loads.payload_com[:, k]), weight)
-        return total[:2]
+    def _payload_moments(self, row: Row) -> list[ca.SX]:
+        """Return the overturning moment of the payloads of known mass [Nm], then the arm of each other one [m], (2, 1) each."""
+        robot, at, loads = self.robot, self._posture(row), nominal_loads(self.robot)
+        arms = [
+            row.payload[k]
+            * ca.cross(apply(at.frame(robot, robot.payload_links[k]), loads.payload_com[:, k]), ca.DM(robot.down))[:2]
+            for k in range(len(robot.payloads))
+        ]
+        gravity = float(np.linalg.norm(robot.gravity))
+        known = sum((gravity * loads.payload_mass[k] * arm for k, arm in enumerate(arms)), ca.SX(2, 1))
+        return [*([known] if self._reach else []), *(arms[k] for k in self._unknown.values())]
+
+    @property
+    def _unknown(self) -> dict[str, int]:
+        """The payloads of unknown mass, with their indices among all payloads."""
+        return {name: k for k, (name, load) in enumerate(self.robot.payloads.items()) if load.mass is None}
 
     def _posture(self, row: Row) -> Posture[ca.SX]:
         n = self.robot.n_joints

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Literal, Self
 
 import casadi as ca
 import numpy as np
 
 from calflow.effects.base import WINDUP_BOUND, WINDUP_SD, Effect, Words, joint_variable
+from calflow.effects.base_tilt import Arm
+from calflow.measurements.measurements import Measurements
 from calflow.robot.frames import apply
 from calflow.robot.mechanism import (
     Deflection,
@@ -27,6 +30,8 @@ from calflow.robot.robot import Robot
 # Deflections [rad] by the first moments of the links next to the joint, and by those of the links beyond.
 NEAR_SD, FAR_SD, BOUND = 2e-3, 3e-4, 20e-3
 
+Shape = Literal["", "rule"]
+
 
 @dataclass(frozen=True)
 class GravityDeflection(Effect):
@@ -35,12 +40,16 @@ class GravityDeflection(Effect):
     phi_i holds the first moments of link i and those beyond it, times gravity and the joint's compliance [rad]; the masses
     beyond a link are lumped at its end, so that the two components across the joint's axis suffice. Payloads of known mass
     add s_i times their torque; one of unknown mass adds its moment arm, given by its centre, times a parameter of its own
-    [rad/m]: its weight times the joint's compliance.
+    [rad/m]: its weight times the joint's compliance. By the rule of `base_tilt`, each link half as heavy as the one before,
+    a single parameter stands for all first moments.
     """
+
+    shape: Shape = ""
 
     id = "gravity-deflection"
     title = "gravity deflection (joint compliance, masses unknown)"
     stands_in = "joint-compliance"
+    forms = {"": "by link", "rule": "each link half as heavy as the one before"}
     words = Words("gravity deflection", "the joint sags under the robot's own weight", "size")
 
     @classmethod
@@ -59,11 +68,15 @@ class GravityDeflection(Effect):
             part, words = f"joint{i + 1}", f"gravity deflection of joint {i + 1}"
             if joint.kind == "prismatic" or not self._loaded(i):
                 continue
-            forms += [
-                Parameter(self.id, part, f"phi{k + 1}{axis}", "rad", NEAR_SD if i in (k, robot.parents[k] - 1) else FAR_SD,
-                          -BOUND, BOUND, meaning=f"{words}, link {k + 1} along {axis}", joint=i + 1)
-                for k in robot.carried[i] for axis in "xy"
-            ]  # fmt: skip
+            if self.shape == "rule":
+                forms.append(Parameter(self.id, part, "t", "rad", NEAR_SD, 0.0, BOUND, meaning=words, joint=i + 1))
+            else:
+                forms += [
+                    Parameter(self.id, part, f"phi{k + 1}{axis}", "rad",
+                              NEAR_SD if i in (k, robot.parents[k] - 1) else FAR_SD, -BOUND, BOUND,
+                              meaning=f"{words}, link {k + 1} along {axis}", joint=i + 1)
+                    for k in robot.carried[i] for axis in "xy"
+                ]  # fmt: skip
             if loaded:
                 forms.append(Parameter(self.id, part, "s", "rad/Nm", WINDUP_SD / rated[i], 0.0, WINDUP_BOUND / rated[i],
                                        meaning=f"{words}, payload", joint=i + 1))  # fmt: skip
@@ -103,7 +116,12 @@ class GravityDeflection(Effect):
             * ca.dot(down, apply(at.frame(self.robot, self.robot.payload_links[k]), loads.payload_com[:, k]))
             for symbol, k in self._unknown.items()
         }
-        return moments | {"s": -potential_energy(self.robot, none, row, at)} | heavy
+        by_rule = {"t": ca.dot(down, Arm.of(self.robot).first_moment(at))} if self.shape else {}
+        return moments | by_rule | {"s": -potential_energy(self.robot, none, row, at)} | heavy
+
+    def finer(self, data: Measurements) -> tuple[Self, ...]:
+        """Return the form without the rule, which may prove better beside other causes."""
+        return (replace(self, shape=""),) if self.shape else ()
 
     @property
     def _unknown(self) -> dict[str, int]:
