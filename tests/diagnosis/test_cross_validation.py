@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from calflow.diagnosis.extension import BlocksLeftOut, blocks_left_out, carried_over
+from calflow.diagnosis.background import BackgroundBasis
+from calflow.diagnosis.extension import BlocksLeftOut, blocks_left_out, carried_over, pose_blocks
 from diagnosis.found import cause, hidden, start
 from diagnosis.test_unexplained import fitted
 from estimation.data import SIGMA
@@ -14,11 +15,29 @@ def test_a_true_cause_carries_over_to_blocks_that_were_left_out():
     """Fails if left-out blocks are not predicted from the others alone, or a needless cause is said to help there."""
     eccentric, needless = cause("joint-eccentricity", "joint1", order=2), cause("gear-ratio-error", "joint4")
     known = start(hidden([(eccentric, (1.5e-4, -1e-4))])).with_causes([eccentric, needless])
-    kinds = blocks_left_out(known)
+    kinds = blocks_left_out(known, BackgroundBasis.of(known))
     assert all(len(kind.rows) > 3 for kind in kinds)
     found, not_there = (carried_over(known, one, kinds) for one in known.causes)
     assert found.holds
     assert found.gain[0] > 20 > abs(not_there.gain[0])
+
+
+def test_a_smooth_error_does_not_decide_whether_a_cause_carries_over():
+    """Fails if blocks are predicted without the smooth error that the others show, five times as large as the noise."""
+    eccentric, size = cause("joint-eccentricity", "joint3", order=2), 4e-5
+    gained, without = 0.0, 0.0
+    for seed in range(3, 7):
+        data, rng = hidden([(eccentric, (size, size))], poses=120), np.random.default_rng(seed)
+        near = np.exp(-0.5 * ((data.joints[:, None, :3] - data.joints[None, :, :3]) ** 2).sum(axis=2))
+        smooth = np.linalg.cholesky(near + 1e-8 * np.eye(len(near))) @ rng.standard_normal((len(near), 3))
+        data.table[["x", "y", "z"]] += 5 * SIGMA * smooth
+        known = start(data).with_causes([eccentric])
+        row = known.problem.stacking.row
+        alone = [BlocksLeftOut.of(known.alone, kind[row]) for kind in pose_blocks(known)]
+        beside = carried_over(known, eccentric, blocks_left_out(known, BackgroundBasis.of(known)))
+        assert beside.holds
+        gained, without = gained + beside.gain[0], without + carried_over(known, eccentric, alone).gain[0]
+    assert gained > 1.3 * without
 
 
 def test_what_is_missed_is_that_of_a_fit_to_the_other_rows():
@@ -31,7 +50,7 @@ def test_what_is_missed_is_that_of_a_fit_to_the_other_rows():
         (whole, lambda kind: kind.missed),
         (whole.without(gone, value), lambda kind: kind.missed_without(gone, value)),
     ):
-        for kind in blocks_left_out(known):
+        for kind in blocks_left_out(known, BackgroundBasis.of(known)):
             for out, missed in zip(kind.rows, kind_missed(kind), strict=True):
                 j, e = (np.delete(array, out, axis=0) for array in (regressors.jacobian, regressors.residual))
                 change = np.linalg.solve(j.T @ j + np.diag(regressors.precision), j.T @ e + regressors.pull)
@@ -48,7 +67,7 @@ def test_a_curve_in_time_is_not_asked_for_times_that_were_left_out():
     before = fitted(bumped)
     curve = cause("frame-drift", "device", length=0.15, end=float(before.data.table["time"].max()))
     known = before.with_causes([curve])
-    row, (in_joints,) = np.arange(len(known.data)), blocks_left_out(known)
+    row, (in_joints,) = np.arange(len(known.data)), blocks_left_out(known, BackgroundBasis.of(known))
     in_time = BlocksLeftOut.of(known.alone, (8 * row // len(row))[known.problem.stacking.row])
     told = carried_over(known, curve, [in_joints, in_time])
     assert told.holds

@@ -330,10 +330,15 @@ class BlocksLeftOut:
         return missed
 
 
-def blocks_left_out(fitted: Fitted) -> list[BlocksLeftOut]:
-    """Return a fitted model's blocks, one object per kind."""
-    row = fitted.problem.stacking.row
-    return [BlocksLeftOut.of(fitted.alone, kind[row]) for kind in pose_blocks(fitted)]
+def blocks_left_out(fitted: Fitted, basis: BackgroundBasis) -> list[BlocksLeftOut]:
+    """Return a fitted model's blocks, one object per kind, which are predicted beside the background that it leaves.
+
+    Otherwise a smooth error several times as large as the noise would decide whether a cause gains.
+    """
+    row, left, regressors = fitted.problem.stacking.row, background(fitted, basis), fitted.alone
+    if left is not None:
+        regressors = regressors.with_amplitudes(left.correlation(fitted.problem.weight))
+    return [BlocksLeftOut.of(regressors, kind[row]) for kind in pose_blocks(fitted)]
 
 
 def carried_over(fitted: Fitted, cause: Cause, kinds: Sequence[BlocksLeftOut]) -> CarriedOver:
@@ -437,7 +442,7 @@ def weighed(
         now = _searched(from_start, beside, catalogue, search)
         if frozenset(now.fitted.causes) == held:
             break
-    return replace(now, findings=_judged(now, unnamed(now.fitted, basis, catalogue.variants)))
+    return replace(now, findings=_judged(now, basis, unnamed(now.fitted, basis, catalogue.variants)))
 
 
 def _named_instead(
@@ -471,7 +476,7 @@ def _weakest(fitted: Fitted, basis: BackgroundBasis, variants: Variants) -> Caus
     weakest = min(against, key=lambda cause: against[cause], default=None)
     if weakest is None or against[weakest] < 0:
         return weakest
-    kinds = blocks_left_out(fitted)
+    kinds = blocks_left_out(fitted, basis)
     failing = [cause for cause in against if not carried_over(fitted, cause, kinds).holds]
     return min(failing, key=lambda cause: against[cause], default=None)
 
@@ -511,8 +516,8 @@ def _second_thought(best: Trial[Cause], tried: list[Trial[Cause]], search: Stepw
     return best
 
 
-def _judged(extension: Extended, against: dict[Cause, float]) -> tuple[Detection[Cause], ...]:
-    kinds = blocks_left_out(extension.fitted)
+def _judged(extension: Extended, basis: BackgroundBasis, against: dict[Cause, float]) -> tuple[Detection[Cause], ...]:
+    kinds = blocks_left_out(extension.fitted, basis)
     return tuple(
         replace(
             finding,

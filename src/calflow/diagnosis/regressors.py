@@ -324,6 +324,18 @@ class Regressors(Generic[H]):
         """The inner products over all rows."""
         return self.added_up or RegressorProducts.of(self)
 
+    def with_amplitudes(self, correlation: ErrorCorrelation) -> Regressors[H]:
+        """Return the independent residuals with a background's amplitudes as further parameters, of their normal prior."""
+        functions = correlation.modes * np.sqrt(correlation.variance)
+        more = functions.shape[1]
+        return replace(
+            self,
+            jacobian=np.hstack([self.jacobian, functions]),
+            precision=np.append(self.precision, np.ones(more)),
+            pull=np.append(self.pull, np.zeros(more)),
+            added_up=None,
+        )
+
     @staticmethod
     def of(
         fit: Fit,
