@@ -27,6 +27,7 @@ from calflow.estimation.residual_field import learnt
 from calflow.estimation.smooth_functions import Field, JointField, SmoothFunction, beside_joints, moved_together
 from calflow.estimation.variance_components import USUAL, VarianceComponents
 
+JOINTS = ("joints",)  # inputs of the field
 MODES = 400  # principal modes of all functions together: the others are lost in the noise
 ROUNDING = 1e-12  # eigenvalue over the largest, below which it is rounding
 FAINT = 1e-4  # singular value of a part's functions over the largest, below which it is lost in the noise as well
@@ -55,7 +56,7 @@ class BackgroundBasis:
     @staticmethod
     def of(fitted: Fitted) -> BackgroundBasis:
         """Return the basis at a fitted model, without inputs on which no residual depends."""
-        kinds = [*((("joints",), [field]) for field in fields(fitted)), *beside_joints(fitted.data)]
+        kinds = [*((JOINTS, [field]) for field in fields(fitted)), *beside_joints(fitted.data)]
         regressors = replace(fitted, background=None, shared=0.0).regressors(
             [effect for _, effects in kinds for effect in effects]
         )

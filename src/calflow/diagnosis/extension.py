@@ -23,7 +23,7 @@ from typing import cast
 import numpy as np
 import scipy
 
-from calflow.diagnosis.background import BackgroundBasis, Sizes, background, beside_background, uneven_causes
+from calflow.diagnosis.background import JOINTS, BackgroundBasis, Sizes, background, beside_background, uneven_causes
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import Background, Regressors
 from calflow.diagnosis.screening import Catalogue, Score, Screening, by_place
@@ -448,23 +448,19 @@ def weighed(
 def _named_instead(
     fitted: Fitted, left: Background | None, basis: BackgroundBasis, catalogue: Catalogue, search: Stepwise[Cause]
 ) -> Cause | None:
-    """Return the best candidate beside all parts of the background but those that its family is a general smooth function of.
+    """Return the best candidate beside the field of the joints alone, where the background has other parts.
 
-    None where that is of no such family, or there are as many causes as may be. Beside a background in time, no step or drift of
-    the device could be significant.
+    None where no candidate is significant, or there are as many causes as may be. Beside a background in time no step or drift of
+    the device could be significant, nor what the payload does beside one by payload; the cause is then weighed against all parts.
     """
-    if len(fitted.causes) >= search.acceptance.most:
+    others = {name for part in left.inputs if part != JOINTS for name in part} if left else set[str]()
+    if not others or len(fitted.causes) >= search.acceptance.most:
         return None
-    inputs = {name for part in left.inputs for name in part} if left else set[str]()
-    kin = {effect.id: effect.named_in() for effect in catalogue.effects if not inputs.isdisjoint(effect.named_in())}
-    if not kin:
-        return None
-    others = background(fitted, basis, [*chain.from_iterable(kin.values())])
-    family, beside = search.first.family, replace(fitted, background=others)
-    trial = FittedTrial(family, search.first.degrees_of_freedom, beside, catalogue)
-    passed = [score for score in trial.linearisation.beside.scores if search.acceptance.accepts(score, family)]
-    best = min(passed, key=lambda score: score.cost, default=None)
-    return trial.finest(best).cause if best and best.cause.id in kin else None
+    beside = replace(fitted, background=background(fitted, basis, others))
+    trial = FittedTrial(search.first.family, search.first.degrees_of_freedom, beside, catalogue)
+    scores = trial.linearisation.beside.scores
+    passed = [score for score in scores if search.acceptance.accepts(score, search.first.family)]
+    return trial.finest(min(passed, key=lambda score: score.cost)).cause if passed else None
 
 
 def _weakest(fitted: Fitted, basis: BackgroundBasis, variants: Variants) -> Cause | None:
