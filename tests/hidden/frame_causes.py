@@ -70,19 +70,21 @@ def housing_growth(h: Hidden, robot: Robot, rows: Rows) -> Robot:
 
 
 def warm_zero(h: Hidden, robot: Robot, rows: Rows) -> Robot:
-    """One joint's zero turns by size [rad] a kelvin, or with extra "warm-up" by size in the end."""
+    """One joint's zero turns by size [rad] a kelvin, or with extra "warm-up" by size in the end; a number: so warm at first."""
     theta = np.tile(robot.theta, (len(rows), 1))
     theta[:, h.joint - 1] += h.size * _warm(h, rows)
     return replace(robot, theta=theta)
 
 
 def _warm(h: Hidden, rows: Rows) -> Array:
-    return warm_up(rows) if h.extra == "warm-up" else rows.temperature - 20
+    if h.extra == "":
+        return rows.temperature - 20
+    return warm_up(rows, 0.0 if h.extra == "warm-up" else h.number)
 
 
-def warm_up(rows: Rows) -> Array:
+def warm_up(rows: Rows, at_first: float) -> Array:
     """How warm a robot is at each row, over as warm as it gets: it cools while it stands."""
-    warm, now = np.empty(len(rows.time)), 0.0
+    warm, now = np.empty(len(rows.time)), at_first
     for k, passed in enumerate(np.diff(rows.time, prepend=0.0)):
         end = float(passed < STANDS)
         now = end + (now - end) * np.exp(-passed / WARM_UP)

@@ -21,6 +21,9 @@ EVERY: dict[str, tuple[Case, str]] = {
     "thermal-growth of one link": (case("serial", Hidden("link-growth", 2, 3e-4, "warm-up"), columns=CLOCK), "link 2"),
     "housing-growth after a pause": (case("serial", WARMS, columns=CLOCK, pause=4 * 3600.0), "anew after each pause"),
     "housing-growth after a short one": (case("serial", WARMS, columns=CLOCK, pause=3600.0), "anew after each pause"),
+    "housing-growth of a robot that was warm": (
+        case("serial", Hidden("warm-zero", 3, 3e-4, 0.5), columns=CLOCK, pause=5 * 3600.0), "anew after each pause"
+    ),
     "housing-growth of one day after another": (case("serial", WARMS, columns=DAYS, pause=18 * 3600.0), "turning its zero"),
     "housing-growth": (case("serial", Hidden("housing-growth", 2, 3e-5), columns=WARM), "joint 2"),
     "housing-growth of a zero": (case("serial", Hidden("warm-zero", 2, 3e-5), columns=WARM), "turning its zero"),

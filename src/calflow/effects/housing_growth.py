@@ -66,19 +66,19 @@ class HousingGrowth(Warming):
         unit = ("rad" if self.turning else "m") + ("" if self.constant else "/K")
         sd = GROWTH_SD if self.constant else EXPANSION_SD
         return tuple(
-            Parameter(self.id, f"joint{joint + 1}", "h", unit, sd, -BOUND * sd, BOUND * sd, joint=joint + 1,
+            Parameter(self.id, f"joint{joint + 1}", f"h{ending}", unit, sd, -BOUND * sd, BOUND * sd, joint=joint + 1,
                       meaning=f"growth of the housing of joint {joint + 1}")
-            for joint in self._steps
+            for joint in self._steps for ending in self.symbols
         )  # fmt: skip
 
     def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
         """Return the dimensions with the offsets lengthened, or the zeros turned."""
-        warmth = self.warmth(row)
-        if not warmth.nnz():
+        grown = self.warmth(p, row)
+        if not grown.nnz():
             return dims
         steps = ca.SX(dims.steps)
         for k, step in enumerate(self._steps.values()):
-            steps[step] = dims.steps[step] + p[k] * warmth
+            steps[step] = dims.steps[step] + grown[k]
         return replace(dims, steps=steps)
 
 

@@ -55,11 +55,14 @@ class ThermalGrowth(Warming):
         """Return the common expansion, or that of each link."""
         symbol, unit, sd, bound, meaning = self._figure
         if not self.apart:
-            return (Parameter(self.id, "links", symbol, unit, sd, -bound, bound, meaning=meaning),)
+            return tuple(
+                Parameter(self.id, "links", symbol + ending, unit, sd, -bound, bound, meaning=meaning)
+                for ending in self.symbols
+            )
         return tuple(
-            Parameter(self.id, f"link{link + 1}", symbol, unit, sd, -bound, bound, meaning=f"{meaning}, link {link + 1}",
+            Parameter(self.id, f"link{link + 1}", symbol + ending, unit, sd, -bound, bound, meaning=f"{meaning}, link {link + 1}",
                       joint=link + 1)
-            for link in self._links
+            for link in self._links for ending in self.symbols
         )  # fmt: skip
 
     @property
@@ -69,14 +72,14 @@ class ThermalGrowth(Warming):
 
     def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
         """Return the dimensions with the links lengthened."""
-        warmth = self.warmth(row)
-        if not warmth.nnz():
+        growth = self.warmth(p, row)
+        if not growth.nnz():
             return dims
         if self.apart:
             for k, link in enumerate(self._links):
-                dims = _grown(dims, _lengths(self.robot, link), 1 + p[k] * warmth)
+                dims = _grown(dims, _lengths(self.robot, link), 1 + growth[k])
             return dims
-        return grown(self.robot, dims, 1 + p * warmth)
+        return grown(self.robot, dims, 1 + growth)
 
 
 def grown(robot: Robot, dims: Dimensions, growth: ca.SX) -> Dimensions:

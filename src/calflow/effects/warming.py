@@ -24,6 +24,7 @@ class Warming(Effect):
 
     constant is the time constant of the warm-up [s]; 0 stands for a measured temperature. In pauses, each from a time to
     another [s], the robot cools down with the same constant: a body of one heat capacity, whose motors stand meanwhile.
+    Each part has one parameter, and with pauses another for the heat with which it came to the first row.
     """
 
     constant: float = 0.0
@@ -64,20 +65,34 @@ class Warming(Effect):
         """Short name of the form, without the pauses' times, which come from the data."""
         return replace(self, pauses=()).variant + " anew" if self.pauses else super().variant
 
-    def warmth(self, row: Row) -> ca.SX:
-        """Return the temperature above 20 degC [K], or the warm-up curve (0 to 1); structurally zero where a row has neither."""
+    @property
+    def symbols(self) -> tuple[str, ...]:
+        """Endings of the symbols of a part's parameters."""
+        return ("", "0") if self.pauses else ("",)
+
+    def warmth(self, p: ca.SX, row: Row) -> ca.SX:
+        """Return each part's parameters (parts after another) times the temperature above 20 degC [K] or the warm-up (0 to 1).
+
+        It is structurally zero where a row has neither.
+        """
         if not self.constant:
-            return row.temperature - REFERENCE if row.temperature.nnz() else ca.SX(1, 1)
+            return p * (row.temperature - REFERENCE) if row.temperature.nnz() else ca.SX(*p.shape)
         if not row.time.nnz():
-            return ca.SX(1, 1)
+            return ca.SX(p.numel() // len(self.symbols), 1)
         risen = self._risen(row.time)
         for end, start in self.pauses:
             risen += self._risen(row.time - start) - self._risen(row.time - end)
-        return risen
+        return (
+            ca.reshape(p, len(self.symbols), -1).T @ ca.vertcat(risen, 1 - self._risen(row.time))[: len(self.symbols)]
+        )
 
     def _risen(self, passed: ca.SX) -> ca.SX:
         """Return the response to a step of heating, a time after it [s]."""
         return 1 - ca.exp(-ca.fmax(0, passed) / self.constant)
+
+    def size(self, p: ca.SX) -> ca.SX:
+        """Return the growth alone, without the heat at first."""
+        return super().size(p[:1])
 
     def variable(self, joint: int) -> Variable:
         """Return the temperature, or the time."""

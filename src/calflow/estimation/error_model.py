@@ -592,10 +592,10 @@ def _beyond_time(errors: ErrorModel, sizes: SmoothVariances) -> ErrorModel:
 def _cooling(errors: ErrorModel, result: Fit, data: Measurements) -> ErrorModel:
     losses = []
     for cause in (effect for effect in result.model.effects if isinstance(effect, Cause)):
-        warming, values = cause.effect, tuple(result.estimate[result.model.columns(cause)].tolist())
+        warming, growth = cause.effect, float(result.estimate[result.model.columns(cause)][0])
         if isinstance(warming, Warming) and warming.constant:
             end = float(data.table["time"].max())
-            losses.append(Cooling(data.robot, cause.id, warming.figures_text, cause.part, values, end))
+            losses.append(Cooling(data.robot, cause.id, warming.figures_text, cause.part, growth, end))
     return errors.with_functions(losses, np.ones(len(losses)))
 
 

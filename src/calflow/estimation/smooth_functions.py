@@ -362,13 +362,13 @@ class Later(Wandering):
 class Cooling(SmoothFunction):
     """What a warm-up loses after the measurement's end [s] if the robot stands from some moment on, which nobody knows.
 
-    The warm-up is given by its effect's id, its figures (see `Effect.figures_text`), its part and the fitted values.
+    The warm-up is given by its effect's id, its figures (see `Effect.figures_text`), its part and its fitted growth.
     """
 
     effect: str = ""
     variant_figures: str = "{}"
     part: str = ""
-    values: tuple[float, ...] = ()
+    growth: float = 0.0
     end: float = 0.0
 
     @property
@@ -393,7 +393,7 @@ class Cooling(SmoothFunction):
             return dims
         since = ca.fmax(0, row.time - self.end)
         stands = ca.sqrt(1 - ca.exp(-since / SHIFT))
-        effect, values = self.cause.acting(ca.SX(ca.DM(self.values)) * p * stands)
+        effect, values = self.cause.acting(self.growth * p * stands)
         return effect.dimensions(values, dims, replace(row, time=since))
 
 
