@@ -13,6 +13,7 @@ from hidden.test_hidden import CLOCK, case, found
 DAYS = (*CLOCK, "session")
 WARM = ("approach", "temperature")
 ONE_MOVE = Hidden("session-frame", 0, 2e-4, 3)
+JUMPS = Hidden("joint-step", 3, 2e-4)
 WARMS = Hidden("warm-zero", 2, 3e-4, "warm-up")
 EVERY: dict[str, tuple[Case, str]] = {
     "session-frame": (case("serial", Hidden("session-frame", 0, 3e-4), columns=DAYS, poses=90), "each session"),
@@ -25,6 +26,8 @@ EVERY: dict[str, tuple[Case, str]] = {
         case("serial", Hidden("warm-zero", 3, 3e-4, 0.5), columns=CLOCK, pause=5 * 3600.0), "anew after each pause"
     ),
     "housing-growth of one day after another": (case("serial", WARMS, columns=DAYS, pause=18 * 3600.0), "turning its zero"),
+    "joint-step in a pause": (case("serial", JUMPS, columns=CLOCK, pause=4 * 3600.0), "after row 60"),
+    "joint-step between two days": (case("hh800", JUMPS, columns=DAYS, pause=18 * 3600.0), "after row 60"),
     "housing-growth": (case("serial", Hidden("housing-growth", 2, 3e-5), columns=WARM), "joint 2"),
     "housing-growth of a zero": (case("serial", Hidden("warm-zero", 2, 3e-5), columns=WARM), "turning its zero"),
 }  # fmt: skip

@@ -8,8 +8,8 @@ from typing import ClassVar, Self
 import casadi as ca
 import numpy as np
 
-from calflow.effects.base import Effect, displaced
-from calflow.measurements.measurements import Measurements, borders
+from calflow.effects.base import OF_THE_FRAME, Effect, displaced
+from calflow.measurements.measurements import Measurements, borders, pauses
 from calflow.robot.mechanism import Row
 from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
@@ -44,7 +44,7 @@ class StepChange(Effect):
         """Return each form at moments between rows, or images; none for unsuitable data."""
         if cls.lacking(robot, data):
             return ()
-        moments = _spread(_moments(data))
+        moments = _spread(cls._moments(data), data)
         return tuple(replace(kind, moment=float(moment)) for kind in cls.kinds(robot) for moment in moments)
 
     @classmethod
@@ -65,13 +65,23 @@ class StepChange(Effect):
 
     def finer(self, data: Measurements) -> tuple[Self, ...]:
         """Return the moments about this one that the coarse search left out."""
-        between = _moments(data)
-        reach = float(np.diff(_spread(between)).max(initial=1.0))
+        between = self._moments(data)
+        reach = float(np.diff(_spread(between, data)).max(initial=1.0))
         return tuple(replace(self, moment=float(m)) for m in between[np.abs(between - self.moment) <= reach])
 
     def same_as(self, other: Self) -> bool:
         """Whether the moments are too close for two separate steps."""
         return abs(other.moment - self.moment) < FEWEST
+
+    @classmethod
+    def _moments(cls, data: Measurements) -> np.ndarray:
+        """Return all moments between rows, or images, with at least FEWEST before and after.
+
+        Between sessions a device's frame is a `session_frame` instead.
+        """
+        first, last = _spans(data).T
+        between = ((first[1:] + last[:-1]) / 2)[FEWEST - 1 : len(first) - FEWEST]
+        return between[~np.isin(between, borders(data))] if cls.family == OF_THE_FRAME else between
 
     @property
     def detail(self) -> str:
@@ -97,13 +107,6 @@ class StepChange(Effect):
         )  # fmt: skip
 
 
-def _moments(data: Measurements) -> np.ndarray:
-    """Return all moments between rows, or images, of one session with at least FEWEST before and after."""
-    first, last = _spans(data).T
-    between = ((first[1:] + last[:-1]) / 2)[FEWEST - 1 : len(first) - FEWEST]
-    return np.asarray(between[~np.isin(between, borders(data))])
-
-
 def _spans(data: Measurements) -> np.ndarray:
     """Return the first and last position in measuring order of each unit that no step divides, (n, 2): a row, or an image."""
     if not data.in_images:
@@ -112,6 +115,11 @@ def _spans(data: Measurements) -> np.ndarray:
     return images.sort_values("min").to_numpy(float)
 
 
-def _spread(moments: np.ndarray) -> np.ndarray:
-    """Return an evenly spaced subset of the moments, at most MOMENTS."""
-    return moments[np.unique(np.linspace(0, len(moments) - 1, MOMENTS).astype(int))] if len(moments) else moments
+def _spread(moments: np.ndarray, data: Measurements) -> np.ndarray:
+    """Return an evenly spaced subset of the moments, at most MOMENTS, and those in pauses and between sessions."""
+    if not len(moments):
+        return moments
+    order = data.table["order"].to_numpy(float)
+    paused = [order[data.table["time"] <= end].max() + 0.5 for end, _ in pauses(data)]
+    idle = np.abs(moments[:, None] - [*borders(data), *paused]).argmin(axis=0)
+    return moments[np.unique([*np.linspace(0, len(moments) - 1, MOMENTS).astype(int), *idle])]

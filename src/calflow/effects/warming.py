@@ -9,13 +9,12 @@ import casadi as ca
 import numpy as np
 
 from calflow.effects.base import Effect, Variable, around
-from calflow.measurements.measurements import Measurements
+from calflow.measurements.measurements import Measurements, pauses
 from calflow.robot.mechanism import Row
 from calflow.robot.robot import Robot
 
 REFERENCE = 293.15  # K: reference temperature of drawings (ISO 1)
 WARM_UPS = (900.0, 1800.0, 3600.0, 7200.0)  # s: time constants searched
-PAUSE = 10.0  # median times between rows: a longer one, and than the shortest time constant, is a pause
 
 
 @dataclass(frozen=True)
@@ -40,7 +39,7 @@ class Warming(Effect):
         forms = (cls(robot),) if data.temperature_changes else ()
         if "time" not in data.given:
             return forms
-        breaks = dict.fromkeys([(), _pauses(data)])
+        breaks = dict.fromkeys([(), pauses(data)])
         return (*forms, *(cls(robot, constant, pauses) for pauses in breaks for constant in WARM_UPS))
 
     def later(self, same_clock: bool) -> Self:
@@ -99,13 +98,3 @@ class Warming(Effect):
         if self.constant:
             return Variable("time", "h", lambda state, row: row.time, 1 / 3600)
         return Variable("temperature above 20 degC", "K", lambda state, row: row.temperature - REFERENCE)
-
-
-def _pauses(data: Measurements) -> tuple[tuple[float, float], ...]:
-    """Return the pauses between rows, each as the times [s] of the row before and after it."""
-    every = np.unique(data.table["time"].to_numpy(float))
-    gaps = np.diff(every)
-    if not len(gaps):
-        return ()
-    paused = np.flatnonzero(gaps > max(WARM_UPS[0], PAUSE * np.median(gaps)))
-    return tuple((float(every[k]), float(every[k + 1])) for k in paused)

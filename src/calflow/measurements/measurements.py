@@ -38,6 +38,7 @@ from calflow.robot.robot import Robot
 
 SPREAD = 0.2  # K: standard deviation below which temperatures count as constant
 DERIVED = ("order", "range", "session")  # conditions that a series may lack, or that are recomputed
+PAUSE, GAPS_OF_PAUSE = 900.0, 10.0  # s and median times between rows: one longer than both is a pause
 SAME_READINGS = 0.02  # rad or m: largest difference between joint readings of one pose
 
 
@@ -407,3 +408,13 @@ def borders(data: Measurements) -> np.ndarray:
     spans = data.table.groupby(data.table["session"].astype(str))["order"].agg(["min", "max"]).loc[list(sessions)]
     last, first = spans["max"].to_numpy(float)[:-1], spans["min"].to_numpy(float)[1:]
     return (last + first) / 2 if (last < first).all() else np.array([])
+
+
+def pauses(data: Measurements) -> tuple[tuple[float, float], ...]:
+    """Return the pauses in measuring, each as the times [s] of the row before and after it; none without times."""
+    every = np.unique(data.table["time"].to_numpy(float)) if "time" in data.given else np.zeros(0)
+    gaps = np.diff(every)
+    if not len(gaps):
+        return ()
+    paused = np.flatnonzero(gaps > max(PAUSE, GAPS_OF_PAUSE * np.median(gaps)))
+    return tuple((float(every[k]), float(every[k + 1])) for k in paused)
