@@ -11,8 +11,7 @@ import pytest
 from calflow.diagnosis.background import BackgroundBasis
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.noise_growth import growth_of_repeats, growth_of_residuals
-from calflow.diagnosis.unexplained import POSE, unexplained
-from calflow.diagnosis.unrepeated import Standstills
+from calflow.diagnosis.unexplained import POSE, Standstills, unexplained
 from calflow.estimation.accuracy import errors
 from calflow.estimation.fit import fit_reweighted
 from calflow.estimation.noise import averaged, measured_noise, repeats_scatter

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calflow.diagnosis.fitted import Fitted
-from calflow.diagnosis.unrepeated import Lever
+from calflow.diagnosis.unexplained import Lever
 from calflow.effects import Effect
 from calflow.effects.base import Cause, Variable
 from calflow.estimation.accuracy import completed, error_jacobian, errors, judged_unit

@@ -20,8 +20,7 @@ from calflow.diagnosis.misfit import Misfit, MisfitRegion, misfit
 from calflow.diagnosis.noise_growth import Growth, growth_of_repeats, growth_of_residuals
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.stepwise import SHARES, CauseAcceptance, Linearisation, words
-from calflow.diagnosis.unexplained import UnexplainedStructure, suspected, unexplained
-from calflow.diagnosis.unrepeated import Standstills
+from calflow.diagnosis.unexplained import Standstills, UnexplainedStructure, suspected, unexplained
 from calflow.diagnosis.verdict import (
     DeployedCauses,
     ModelInReach,
