@@ -170,48 +170,33 @@ class Probe:
         """Shape of the Jacobian, whose columns are the model's parameters, then those of the effects."""
         return self.problem.size, self.n_parameters + self.width
 
-    def of_rows(self, number: int, rows: slice | np.ndarray, out: np.ndarray) -> np.ndarray:
-        """Return the whitened residuals (n,) of rows of one block, and write their Jacobian into out, which must be zero."""
-        n, (left, slopes, state, conditions) = self.n_parameters, self._evaluated(number, rows)
-        if not self.bases:
-            out[:] = slopes.reshape(out.shape)
-            return left.ravel()
-        whole = out.reshape(*left.shape, -1)
-        whole[..., :n] = slopes[..., :n]
-        _fill(whole[..., n:], self.bases, slopes[..., n:], state, conditions)
-        return left.ravel()
-
     def parts(self) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
         """Yield, for some hundred residuals at a time, their slice, and the decorrelated residuals and Jacobian."""
-        start = 0
-        for number, block in enumerate(self.problem.blocks):
-            for part in block.parts(size=ROWS):
-                slopes = np.zeros(((part.stop - part.start) * block.n_units, self.shape[1]))
-                left = self.of_rows(number, part, slopes)
-                rows = slice(start + part.start * block.n_units, start + part.stop * block.n_units)
-                yield rows, block.decorrelated(left, part), block.decorrelated(slopes, part)
-            start += len(block.rows) * block.n_units
-
-    def _evaluated(
-        self, number: int, rows: slice | np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return rows' whitened residuals (n, n_units), the graph's derivatives (n, n_units, …), state and conditions."""
-        block = self.problem.blocks[number]
-        data = [values[:, rows] for values in block.data]
-        left, slopes, *state = over_rows(self.graphs[number], self.p, *data)
-        shape = (left.shape[1], block.n_units, -1)
-        return left.T, slopes.T.reshape(shape), state[0] if state else np.zeros((0, shape[0])), data[0]
+        for block, part, residuals, left, slopes in self._evaluated():
+            yield residuals, block.decorrelated(left, part), block.decorrelated(slopes, part)
 
     def whole(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the whitened residuals (n,) and the Jacobian of all rows."""
-        residual, matrix, start = np.empty(self.problem.size), np.zeros(self.shape), 0
-        for number, block in enumerate(self.problem.blocks):
-            for first in range(0, len(block.rows), ROWS):
-                rows = slice(first, min(first + ROWS, len(block.rows)))
-                stop = start + (rows.stop - first) * block.n_units
-                residual[start:stop] = self.of_rows(number, rows, matrix[start:stop])
-                start = stop
+        residual, matrix = np.empty(self.problem.size), np.empty(self.shape)
+        for _, _, residuals, left, slopes in self._evaluated():
+            residual[residuals], matrix[residuals] = left, slopes
         return residual, matrix
+
+    def _evaluated(self) -> Iterator[tuple[SeriesBlock, slice, slice, np.ndarray, np.ndarray]]:
+        """Yield block, slice of its rows, slice of the residuals, and these whitened residuals and Jacobian."""
+        start, n = 0, self.n_parameters
+        for block, graph in zip(self.problem.blocks, self.graphs, strict=True):
+            for part in block.parts(size=ROWS):
+                data = [values[:, part] for values in block.data]
+                left, slopes, *state = over_rows(graph, self.p, *data)
+                slopes = slopes.T.reshape(left.shape[1], block.n_units, -1)
+                if self.bases:
+                    levers = slopes[..., n:]
+                    slopes = np.concatenate([slopes[..., :n], np.zeros((*slopes.shape[:2], self.width))], axis=2)
+                    _fill(slopes[..., n:], self.bases, levers, state[0], data[0])
+                residuals = slice(start + part.start * block.n_units, start + part.stop * block.n_units)
+                yield block, part, residuals, left.T.ravel(), slopes.reshape(-1, self.shape[1])
+            start += len(block.rows) * block.n_units
 
 
 def probed(problem: LeastSquares, p: np.ndarray, effects: Sequence[Effect]) -> tuple[np.ndarray, np.ndarray]:
