@@ -185,10 +185,7 @@ class Since(SmoothFunction):
 
     moment: float = 0.5
 
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """The order of the rows."""
-        return ("order",)
+    inputs = ("order",)
 
     @property
     def detail(self) -> str:

@@ -157,10 +157,7 @@ class Field(SmoothFunction):
     lengths: tuple[float, ...]
     n_waves: int = 128  # frequencies, each with cosine and sine
 
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """The joints' angles, together."""
-        return ("joints",)
+    inputs = ("joints",)
 
     @property
     def spectrum(self) -> np.ndarray:
@@ -196,10 +193,7 @@ class Oscillation(SmoothFunction):
 
     rate: float = 1.0  # rad/s
 
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """Time."""
-        return ("time",)
+    inputs = ("time",)
 
     @property
     def detail(self) -> str:
@@ -371,10 +365,7 @@ class Cooling(SmoothFunction):
     growth: float = 0.0
     end: float = 0.0
 
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """Time."""
-        return ("time",)
+    inputs = ("time",)
 
     @cached_property
     def cause(self) -> Cause:
@@ -443,10 +434,7 @@ class UnderPayload(SmoothFunction):
 
     payload: str = ""
 
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """The payload."""
-        return ("payload",)
+    inputs = ("payload",)
 
     @property
     def detail(self) -> str:
@@ -484,10 +472,7 @@ class InPlace(SmoothFunction):
     centre: tuple[float, ...] = (0.0, 0.0, 0.0)
     reach: float = 1.0
 
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """The place."""
-        return "x", "y", "z"
+    inputs = ("x", "y", "z")
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the quadratic and cubic terms along each axis; lower ones are geometry's."""
@@ -506,10 +491,7 @@ class InImage(SmoothFunction):
 
     of_images = True
 
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """The place in the image."""
-        return ("image",)
+    inputs = ("image",)
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the terms up to cubic ones along both axes."""
@@ -529,10 +511,7 @@ class OnTarget(SmoothFunction):
 
     of_images = True
 
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """The place on the target."""
-        return ("target",)
+    inputs = ("target",)
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return stretches along x and y, skew, and heights of a quadric."""
