@@ -60,8 +60,8 @@ def test_noise_alone_is_never_corrected():
     found = 0
     for seed in range(60):
         rng = np.random.default_rng([5, seed])
-        q = rng.uniform(LOW, HIGH, (60, 4))
-        nodes = Nodes(q, NOISE * rng.standard_normal((60, 3)), NOISE, 0.1)
+        q = rng.uniform(LOW, HIGH, (40, 4))
+        nodes = Nodes(q, NOISE * rng.standard_normal((40, 3)), NOISE, 0.1)
         found += gain_of(nodes, rng).gains
     assert found == 0
 
