@@ -180,7 +180,7 @@ def test_a_clock_that_goes_back_changes_nothing(small, finished):
     for path in small.path.iterdir():
         os.utime(path, (4e9, 4e9))  # of the year 2096
     for expected in ("was never run", "reused"):
-        done = small.apart("-c", BACK, "run", small.path, "--out", small / "runs")
+        done = small.forked("-c", BACK, "run", small.path, "--out", small / "runs")
         assert done.returncode == 0, done.stderr
         assert done.stdout.count(expected) == 3
         for path in (small / "runs").rglob("*"):
