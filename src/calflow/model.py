@@ -326,9 +326,9 @@ class Model:
         """The free parameters, part by part."""
         return tuple(parameter for parameter in self.declared if parameter.held is None)
 
-    def later(self, same_clock: bool = True) -> Model:
+    def later(self, series: Measurements | None = None) -> Model:
         """Return the model for rows measured later (see `Effect.later`)."""
-        later = tuple(effect.later(same_clock) for effect in self.effects)
+        later = tuple(effect.later(series) for effect in self.effects)
         return self if later == self.effects else replace(self, effects=later)
 
     def columns(self, part: Observation | Effect) -> np.ndarray:

@@ -43,17 +43,29 @@ def test_pauses_are_those_longer_than_the_shortest_warm_up_and_ten_ordinary_gaps
     ordinary = np.arange(30.0)
 
     def tried(time: np.ndarray) -> set[tuple[tuple[float, float], ...]]:
-        data = Measurements(ROBOT, pd.DataFrame({"time": time, **{f"q{k + 1}": 0.0 * time for k in range(6)}}))
-        return {effect.pauses for effect in HousingGrowth.variants(ROBOT, data)}
+        return {effect.pauses for effect in HousingGrowth.variants(ROBOT, _rows(time))}
 
     assert tried(1000 * ordinary) == tried(30 * ordinary + 600 * (ordinary > 10)) == {()}
     assert tried(30 * ordinary + 3600 * (ordinary > 10)) == {(), ((300.0, 3930.0),)}
 
 
-def test_another_clock_knows_nothing_of_the_pauses() -> None:
-    """Fails if the times of another series, which begins cold, are taken for those of the fitted one's pauses."""
-    warming = HousingGrowth(ROBOT, 1800.0, PAUSES)
-    assert warming.later(same_clock=True) == warming
-    assert warming.later(same_clock=False).pauses == ()
-    assert "30000" not in warming.variant
-    assert warming.variant != warming.later(same_clock=False).variant
+def test_a_series_with_a_clock_of_its_own_has_its_own_pauses() -> None:
+    """Fails if another series is cold at the times of the fitted one's pauses, warm in its own, or loses parameters."""
+    warming, row = HousingGrowth(ROBOT, 1800.0, PAUSES), Row.symbols(ROBOT)
+    assert warming.later(None) == warming
+    part = ca.SX([1.0, BEGINS] + [0.0] * (len(warming.declared) - 2))
+    cold = 1 - (1 - BEGINS) * np.exp(-300 / 1800)
+    for pause, warm in (
+        (0.0, 1 - (1 - BEGINS) * np.exp(-900 / 1800)),
+        (9000.0, 1 + (cold * np.exp(-9100 / 1800) - 1) * np.exp(-500 / 1800)),
+    ):
+        elsewhen = warming.later(_rows(100.0 * np.arange(10) + pause * (np.arange(10) > 3)))
+        assert elsewhen.declared == warming.declared
+        warmth = ca.Function("warmth", [row.time], [elsewhen.warmth(part, row)[0]])
+        assert_allclose(float(warmth(900.0 + pause)), warm)
+        assert elsewhen.of_figures(ROBOT, elsewhen.figures_text) == elsewhen
+    assert "3000" not in warming.variant
+
+
+def _rows(time: np.ndarray) -> Measurements:
+    return Measurements(ROBOT, pd.DataFrame({"time": time, **{f"q{k + 1}": 0.0 * time for k in range(6)}}))

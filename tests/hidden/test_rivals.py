@@ -58,7 +58,8 @@ def test_a_mass_is_no_rival_of_the_spring_that_it_acts_through(tmp_path: Path) -
 
 
 def test_a_rival_that_differs_elsewhere_widens_the_promise_there(tmp_path: Path) -> None:
-    """Fails if a promise beyond the measured angles goes by the likeliest alone of the causes that explain these alike.
+    """Fails if a promise beyond the measured angles goes by the likeliest alone of the causes that explain these alike, or a drift
+    check of such a model ends.
 
     A quarter of a turn of an eccentric joint is nearly the error of a gear ratio, and the next quarter is not.
     """
@@ -71,6 +72,12 @@ def test_a_rival_that_differs_elsewhere_widens_the_promise_there(tmp_path: Path)
     error = rms(found.predict(world.rows.q[angle > np.deg2rad(20)]).position - points[angle > np.deg2rad(20)])
     assert alone < 0.3 * error < beyond
     assert here < 0.3 * beyond
+    check = found.data.only(np.arange(len(found.data)) < 8)
+    turned = check.position @ np.array([[1, 1e-3, 0], [-1e-3, 1, 0], [0, 0, 1]])
+    seen = cf.Measurements.from_arrays(found.model.robot, check.joints, turned, payload="none")
+    moved = cf.drift(found, seen)  # the rivals are uncertain errors of the robot, not of a movement
+    assert moved.moved
+    assert moved.next_poses
 
 
 def promised(found: cf.Calibration, q: Array) -> float:

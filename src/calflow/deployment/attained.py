@@ -203,7 +203,7 @@ class Attained:
         shared = mean(every.reshape(len(every), -1)).reshape(-1, *every.shape[1:])
         left = mean(position_variance(calibrated, rows)).sum(axis=1) - (shared**2).sum(axis=(1, 2))
         if figures is not None:
-            model = replace(figures.model.later(same_clock=False), given=calibrated.model.given)
+            model = replace(figures.model.later(data), given=calibrated.model.given)
             expected[FIGURES] = mean(model.point(figures.estimate, rows))
             shared = np.concatenate([shared, (expected[FIGURES] - expected[CALIBRATED])[:, :, None]], axis=2)
         row_numbers = members(group)

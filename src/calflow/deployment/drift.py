@@ -135,7 +135,7 @@ def _left_open(
 
     These are the calibration's uncertain errors, each of standard deviation 1, and a fitted device frame.
     """
-    calibrated = check.calibrated
+    calibrated = replace(check.calibrated, alternatives=())
     before = check.data.stating(calibrated.model.given).on(calibrated.model.robot).conditions
     together = np.einsum("nm,mai->nai", check.share, shared_errors(calibrated, before))
     seen = together.reshape(len(check.error), -1) / np.sqrt(np.repeat(check.own, 3))[:, None]
@@ -310,7 +310,7 @@ def drift(
     if not data.has_positions:
         raise refuse("expected a measured position in every row: what moved is told by positions alone", key="data")
     given = tuple(need.condition for need in calibrated.needed if need.condition in data.given)
-    calibrated = calibrated.later(given, same_clock=False)
+    calibrated = calibrated.later(given, data)
     attained = Attained.of(calibrated, data)
     stood, _ = stands(attained, station)
     fitted = bool(stood.all())  # where some frames are known, they tell of the robot's foot

@@ -217,7 +217,7 @@ def validate(
     # The device's wander is in its readings, not in the robot's pose: it is predicted where the time is stated.
     wanders = {*calibrated.errors.inputs} & {*data.given}
     given = data.stating([*wanders, *(need.condition for need in calibrated.needed)]).given
-    stated = calibrated.later(given, same_clock=False)
+    stated = calibrated.later(given, data)
     attained = Attained.of(stated, data, figures)
     _check_tolerance(tolerance, attained.unit)
     field_notes = of_field(stated, data.stating(given).on(stated.model.robot).conditions)

@@ -361,8 +361,8 @@ class Effect(ABC):
         """Return the rows (n_rows,) in which the fitted rows do not tell whether it acts."""
         return np.zeros(len(data), dtype=bool)
 
-    def later(self, same_clock: bool) -> Self:
-        """Return the effect for rows measured later, whose order counts anew, and whose times do but on the same clock."""
+    def later(self, series: Measurements | None) -> Self:
+        """Return the effect for rows measured later, whose order counts anew, or those of a series with a clock of its own."""
         return self
 
     def completing(self, data: Measurements) -> tuple[Effect, ...]:
@@ -609,9 +609,9 @@ class Cause(ActingEffect):
         """Effect id and part, which all variants at this place share."""
         return self.effect.id, self.part
 
-    def later(self, same_clock: bool) -> Self:
+    def later(self, series: Measurements | None) -> Self:
         """Return the cause for rows measured later."""
-        return replace(self, effect=self.effect.later(same_clock))
+        return replace(self, effect=self.effect.later(series))
 
     @property
     def n_parameters(self) -> int:
@@ -675,9 +675,9 @@ class Carried(ActingEffect):
 
     title = "known beforehand"
 
-    def later(self, same_clock: bool) -> Self:
+    def later(self, series: Measurements | None) -> Self:
         """Return the same for rows measured later."""
-        return replace(self, cause=self.cause.later(same_clock))
+        return replace(self, cause=self.cause.later(series))
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return none."""

@@ -59,7 +59,7 @@ class StepChange(Effect):
         last = fitted[fitted < self.moment].max(initial=-np.inf)
         return np.asarray((order > last) & (order < fitted[fitted > self.moment].min(initial=np.inf)))
 
-    def later(self, same_clock: bool) -> Self:
+    def later(self, series: Measurements | None) -> Self:
         """Return the same at a moment before any row."""
         return replace(self, moment=-abs(self.moment))
 

@@ -13,6 +13,7 @@ from calflow.measurements.measurements import Measurements, pauses
 from calflow.robot.mechanism import Row
 from calflow.robot.robot import Robot
 
+NEVER = ((np.inf, np.inf),)
 REFERENCE = 293.15  # K: reference temperature of drawings (ISO 1)
 WARM_UPS = (900.0, 1800.0, 3600.0, 7200.0)  # s: time constants searched
 
@@ -42,9 +43,9 @@ class Warming(Effect):
         breaks = dict.fromkeys([(), pauses(data)])
         return (*forms, *(cls(robot, constant, pauses) for pauses in breaks for constant in WARM_UPS))
 
-    def later(self, same_clock: bool) -> Self:
-        """Return the same without the pauses where times are of another clock: another series begins cold."""
-        return self if same_clock else replace(self, pauses=())
+    def later(self, series: Measurements | None) -> Self:
+        """Return the same with the pauses of a series that has a clock of its own: it begins as warm as the fitted rows."""
+        return self if series is None or not self.pauses else replace(self, pauses=pauses(series) or NEVER)
 
     def finer(self, data: Measurements) -> tuple[Self, ...]:
         """Return time constants about this one."""

@@ -106,10 +106,10 @@ class CalibratedModel:
     needed: tuple[NeededCondition, ...] = ()
     time_origin: float | None = None
 
-    def later(self, given: tuple[str, ...], same_clock: bool = True) -> Self:
-        """Return the model for rows measured later (see `Effect.later`) that state these conditions."""
-        alternatives = tuple(replace(other, model=other.model.later(same_clock)) for other in self.alternatives)
-        return replace(self, model=replace(self.model.later(same_clock), given=given), alternatives=alternatives)
+    def later(self, given: tuple[str, ...], series: Measurements | None = None) -> Self:
+        """Return the model for rows measured later that state these conditions, or those of a series (see `Effect.later`)."""
+        alternatives = tuple(replace(other, model=other.model.later(series)) for other in self.alternatives)
+        return replace(self, model=replace(self.model.later(series), given=given), alternatives=alternatives)
 
     @property
     def noise_known(self) -> bool:

@@ -595,7 +595,8 @@ def _cooling(errors: ErrorModel, result: Fit, data: Measurements) -> ErrorModel:
         warming, growth = cause.effect, float(result.estimate[result.model.columns(cause)][0])
         if isinstance(warming, Warming) and warming.constant:
             end = float(data.table["time"].max())
-            losses.append(Cooling(data.robot, cause.id, warming.figures_text, cause.part, growth, end))
+            once = replace(warming, pauses=()).figures_text
+            losses.append(Cooling(data.robot, cause.id, once, cause.part, growth, end))
     return errors.with_functions(losses, np.ones(len(losses)))
 
 

@@ -356,11 +356,11 @@ class Later(Wandering):
 class Cooling(SmoothFunction):
     """What a warm-up loses after the measurement's end [s] if the robot stands from some moment on, which nobody knows.
 
-    The warm-up is given by its effect's id, its figures (see `Effect.figures_text`), its part and its fitted growth.
+    The warm-up is given by its effect's id, its figures without pauses (see `Effect.figures_text`), part and fitted growth.
     """
 
     effect: str = ""
-    variant_figures: str = "{}"
+    once: str = "{}"
     part: str = ""
     growth: float = 0.0
     end: float = 0.0
@@ -372,7 +372,7 @@ class Cooling(SmoothFunction):
         """The warm-up, from the end on."""
         kind = effect_class(self.effect)
         assert kind
-        return Cause(self.robot, kind.of_figures(self.robot, self.variant_figures).later(same_clock=False), self.part)
+        return Cause(self.robot, kind.of_figures(self.robot, self.once), self.part)
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the amplitude."""
