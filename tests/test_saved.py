@@ -143,12 +143,11 @@ def assert_identified_and_loaded(case: Case, seed: int, folder) -> cf.Calibratio
     return corrected
 
 
-@pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize("name", CASES)
-def test_what_is_loaded_is_what_was_saved(name, seed, tmp_path):
+def test_what_is_loaded_is_what_was_saved(name, tmp_path):
     """Fails if a figure loses a bit on its way through mm, degrees or the digits of a table."""
     case = CASES[name]
-    corrected = assert_identified_and_loaded(case, seed, tmp_path)
+    corrected = assert_identified_and_loaded(case, 1, tmp_path)
     assert (corrected.field is not None) == bool(case.bend)
 
 
