@@ -248,7 +248,7 @@ def search_causes(
     growth = None if grown else growth_of_residuals(extended.fitted)
     # Errors of joints that do not repeat also grow with range: they must be significant beside such noise, and it without them.
     if growth and (growth.p < alarm or len(standstills.joints)):
-        noisier = extended.weighed(growth.sigma(train, start.device))
+        noisier = replace(extended, fitted=extended.fitted.weighed(growth.sigma(train, start.device)))
         standstills = Standstills.of(noisier.fitted, basis)
         if growth.p < alarm and not len(standstills.joints):
             extended, grown = noisier, growth.levelled(noisier.fitted)

@@ -217,10 +217,6 @@ class Extended:
 
         return replace(self, findings=tuple(sorted(self.findings, key=explained, reverse=True)))
 
-    def weighed(self, sigma: np.ndarray) -> Extended:
-        """Return the extended model refitted with another noise sigma (n_rows,) [m]."""
-        return replace(self, fitted=self.fitted.weighed(sigma))
-
 
 def extend(
     start: Fitted,

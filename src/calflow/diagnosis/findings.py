@@ -64,6 +64,7 @@ RESTS = "comes to rest elsewhere each time, or errs in waves too short for these
 OTHER_INPUTS = {*PLACE, *INPUTS_IN_WORDS, "order", "time", "payload"}  # inputs other than single joints
 RESAMPLES = 2000
 INTERVAL = (0.025, 0.975)
+NOT_CARRIED = "; it does not carry over to poses that were left out"
 NOT_DEPLOYED = "; suspected, and left out of the model: it does not help at poses left out in turn"
 
 
@@ -444,7 +445,7 @@ def _together(rows: Sequence[Finding], verdicts: Sequence[Verdict]) -> Finding:
 
 def _cause(verdict: Verdict, fitted: Fitted, left: UnexplainedStructure | None, number: int, deployed: bool) -> Finding:
     """Return the finding of one cause; left is unexplained structure along the same input, which makes its name uncertain."""
-    cause = verdict.finding.cause
+    cause, carries_over = verdict.finding.cause, verdict.finding.carries_over
     own = fitted.model.columns(cause)
     curve = Curve.of(cause, fitted.fit.estimate[own], fitted.fit.covariance[np.ix_(own, own)])
     estimate, sd = curve.rms_over_travel if curve else found_amplitude(verdict.finding, fitted)
@@ -452,15 +453,16 @@ def _cause(verdict: Verdict, fitted: Fitted, left: UnexplainedStructure | None, 
     if left:
         same = _relatives(cause) if is_any_error_along(cause, left.inputs) else [UNEXPLAINED]
         others += [name for name in same if name not in others]
+    doubts = (NOT_CARRIED if carries_over is False else "") + ("" if deployed else NOT_DEPLOYED)
     return Finding(
         status="one_of" if others else verdict.status, cause=cause.id, joint=cause.joint or None, estimate=estimate,
         sd=sd if sd > 0 else NAN, unit=cause.declared[0].unit, p_family=verdict.finding.p, probability=verdict.of_effect,
         family_probability=verdict.of_family if cause.family else NAN,
         cannot_tell_from=tuple(others), detail=_detail(verdict),
         **Finding.of_rivals([NamedCause(rival.id, rival.joint) for rival in verdict.others]),
-        statement=_statement(verdict, left) + _carried(verdict) + (NOT_DEPLOYED if not deployed else ""), deployed=deployed,
+        statement=_statement(verdict, left) + doubts, deployed=deployed,
         not_tested=tuple(dict.fromkeys(rival.id for rival in verdict.others if rival.score is None)),
-        carries_over=verdict.finding.carries_over, numbers=(number,),
+        carries_over=carries_over, numbers=(number,),
     )  # fmt: skip
 
 
@@ -484,10 +486,6 @@ def _statement(verdict: Verdict, left: UnexplainedStructure | None) -> str:
     if verdict.others:
         return f"{cause.title}{where}{detail}, or {', or '.join(map(_told, verdict.others))}"
     return f"{cause.title}{where}{detail}"
-
-
-def _carried(verdict: Verdict) -> str:
-    return "; it does not carry over to poses that were left out" if verdict.finding.carries_over is False else ""
 
 
 def _told(rival: Rival) -> str:

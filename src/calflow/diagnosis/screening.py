@@ -207,10 +207,6 @@ class _Contest:
         first = np.flatnonzero(np.diff(keys[order], axis=0, prepend=-1).any(axis=1))
         return _Contest(order, first, *keys[order][first].T)
 
-    def won(self, drops: np.ndarray) -> np.ndarray:
-        """Return each group's largest drop (n_groups, …) of the members' drops (n_members, …)."""
-        return np.asarray(np.maximum.reduceat(drops[self.order], self.first, axis=0))
-
 
 @dataclass(frozen=True, eq=False)
 class _Evaluated:
@@ -435,7 +431,8 @@ class Screening(Generic[H]):
             part = slice(start, start + DRAWN_AT_ONCE)
             for block, contest in zip(self._blocks, contests, strict=True):
                 whitened = np.einsum("mij,mjk->mik", block.roots, score[block.columns, part])
-                largest = contest.won((whitened**2).sum(axis=1))
+                drops = (whitened**2).sum(axis=1)[contest.order]
+                largest = np.maximum.reduceat(drops, contest.first, axis=0)
                 p = f_test(largest, chi2[part], contest.degrees_of_freedom, n)  # priors are drawn too: nothing is lost
                 np.minimum.at(smallest[:, part], contest.place, p)
         scans = np.array([worth(row) for row in smallest])

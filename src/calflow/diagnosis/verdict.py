@@ -228,7 +228,11 @@ def models_in_reach(
         return -sum(places + float(np.log(catalogue.variants.get(cause.place, 1))) for cause in causes)
 
     models = [ModelInReach(final.causes, "found", log_prior(final.causes), 0.0)]
-    for choices in (*map(_in_its_place, small), _besides(beside, places)):
+    # The prior of a form is in the evidence already, that of a place is not.
+    besides = [
+        _Choice("besides", None, score.cause, -score.cost / 2 - places) for score in beside if _is_small(score.cause)
+    ]
+    for choices in (*map(_in_its_place, small), besides):
         chosen = [_changed(model, choice) for model in models for choice in choices]
         models += [model for model in chosen if model.log_weight > -REACH and _differ(model.causes)]
         models = [models[0], *sorted(models[1:], key=lambda model: -model.log_weight)[: MOST_IN_REACH - 1]]
@@ -266,13 +270,6 @@ def _in_its_place(finding: Detection[Cause]) -> list[_Choice]:
         if score.cause != cause and _is_small(score.cause)
     ]
     return [*others, _Choice("without", cause, None, forms + _log_odds_of_nothing(finding))]
-
-
-def _besides(beside: Sequence[Score[Cause]], places: float) -> list[_Choice]:
-    """Return the causes that may act besides; the prior of a form is in the evidence already, that of a place is not."""
-    return [
-        _Choice("besides", None, score.cause, -score.cost / 2 - places) for score in beside if _is_small(score.cause)
-    ]
 
 
 def _changed(model: ModelInReach, choice: _Choice) -> ModelInReach:

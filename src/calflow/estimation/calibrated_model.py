@@ -14,7 +14,7 @@ import numpy as np
 
 from calflow.effects import Effect
 from calflow.effects.base import Carried, Cause
-from calflow.estimation.accuracy import error_jacobian, errors
+from calflow.estimation.accuracy import error_jacobian, errors, judged_unit
 from calflow.estimation.error_model import ErrorModel, of_parameters
 from calflow.estimation.least_squares import Loss
 from calflow.estimation.needed_conditions import NeededCondition
@@ -115,6 +115,11 @@ class CalibratedModel:
     def noise_known(self) -> bool:
         """Whether any series' noise is known independently of the fit."""
         return any(device.source != "estimated" for device in self.device)
+
+    @property
+    def unit(self) -> MeasurementUnit:
+        """The unit by which it is judged."""
+        return judged_unit([observation.units[0] for observation in self.model.observations])
 
     @property
     def sigma(self) -> float:

@@ -8,7 +8,6 @@ from typing import Literal
 import numpy as np
 import scipy
 
-from calflow.estimation.accuracy import judged_unit
 from calflow.estimation.calibrated_model import (
     CalibratedModel,
     distance_moved,
@@ -22,7 +21,6 @@ from calflow.files.deferred import pd
 from calflow.files.tables import column
 from calflow.files.units import METRE, MeasurementUnit
 from calflow.measurements.measurements import Measurements
-from calflow.model import Model
 
 # Mean length of a vector of 0 to 3 standard normals.
 MEAN_OF_NOISE = np.sqrt(np.array([0, 2, np.pi / 2, 8]) / np.array([1, np.pi, 1, np.pi]))
@@ -86,7 +84,7 @@ class Certainty:
         calibrated, used = replace(calibrated, field=None), (data.train | data.held_out)
         data, residuals = data.only(used), residuals[used]
         units = [observation.units for observation in calibrated.model.observations]
-        unit = judged_unit([kinds[0] for kinds in units])
+        unit = calibrated.unit
         distance = errors_in(residuals, unit.label)
         there = np.isfinite(distance)
         held = bool((data.held_out & there).any())
@@ -127,7 +125,7 @@ def tested_rows(calibrated: CalibratedModel, data: Measurements, error: np.ndarr
     """
     rows = data.held_out & np.isfinite(error)
     rows[rows] = representative(data.only(rows))
-    held, unit = data.only(rows), judged_unit(_leading(calibrated.model))
+    held, unit = data.only(rows), calibrated.unit
     limit = promised_limits(calibrated, held, unit) if rows.any() else np.zeros(0)
     return pd.DataFrame({"pose": held.table["pose"].to_numpy(), "error": error[rows], "limit": limit})
 
@@ -161,7 +159,7 @@ def missed_poses(
         error = np.full(len(error), np.nan)
         error[largest] = by_pose.agg(lambda sizes: np.sqrt(np.mean(sizes**2)))
     worst = np.sort(largest[np.argsort(-error[largest], kind="stable")][:WORST])
-    rows, unit = data.only(np.isin(np.arange(len(data)), worst)), judged_unit(_leading(calibrated.model))
+    rows, unit = data.only(np.isin(np.arange(len(data)), worst)), calibrated.unit
     limits, table = promised_limits(calibrated, rows, unit), residuals.iloc[worst]
     missed = [
         MissedPose(pose=str(pose), line=int(line), split=split, error=float(size), limit=float(limit))
@@ -178,10 +176,6 @@ def errors_in(residuals: pd.DataFrame, label: str) -> np.ndarray:
     if label == METRE.label:
         return residuals["error_mm"].to_numpy(dtype=float)
     return residuals["error"].where(residuals["unit"] == label).to_numpy(dtype=float)
-
-
-def _leading(model: Model) -> list[MeasurementUnit]:
-    return [observation.units[0] for observation in model.observations]
 
 
 def _no_gain(calibrated: CalibratedModel, data: Measurements) -> float:

@@ -49,17 +49,10 @@ from calflow.model import Model
 
 MIN_REDUCTION = 1e-2  # least relative reduction of a direction's variance by the data for it to be kept
 ROWS = 1000  # rows at which the functions are evaluated at once
-# The kinds of functions by the names that tables have for them.
+# The kinds of functions by name, by which tables refer to them.
 FUNCTIONS: Mapping[str, type[SmoothFunction]] = {
-    "JointField": JointField,
-    "Shift": Shift,
-    "InTime": InTime,
-    "UnderPayload": UnderPayload,
-    "InPlace": InPlace,
-    "BeyondTravel": BeyondTravel,
-    "Later": Later,
-    "AtAnyTime": AtAnyTime,
-    "Cooling": Cooling,
+    kind.__name__: kind
+    for kind in (JointField, Shift, InTime, UnderPayload, InPlace, BeyondTravel, Later, AtAnyTime, Cooling)
 }
 VISIBLE = 0.05  # least variance of a part over the white noise's: no noise is stated more accurately
 INSIDE = 1e-9  # share of the distance to a bound that a step leaves
@@ -242,7 +235,6 @@ class SmoothAmplitude:
 
 def error_table(errors: ErrorModel, model: Model) -> pd.DataFrame:
     """Return the table of `SmoothAmplitude`s."""
-    names = {kind: name for name, kind in FUNCTIONS.items()}
     told = [f"told {n + 1}" for n in range(errors.told.shape[1])]
     slopes = [f"slope {parameter.name}" for parameter in model.parameters]
     amplitudes = [(k, function, n == 0) for k, function in enumerate(errors.functions, start=1)
@@ -252,7 +244,7 @@ def error_table(errors: ErrorModel, model: Model) -> pd.DataFrame:
     named = pd.DataFrame(
         {
             "function": [0, *(number for number, *_ in amplitudes)],
-            "kind": ["", *(names[type(function)] for _, function, _ in amplitudes)],
+            "kind": ["", *(type(function).__name__ for _, function, _ in amplitudes)],
             "figures": ["", *(function.figures_text if first else "" for _, function, first in amplitudes)],
         }
     )

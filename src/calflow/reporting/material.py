@@ -14,7 +14,7 @@ from calflow.deployment.figures_alone import FiguresAlone, Levels
 from calflow.deployment.run_outcome import RunOutcome
 from calflow.effects.base import Cause
 from calflow.effects.geometry import Geometry
-from calflow.estimation.accuracy import errors, judged_unit
+from calflow.estimation.accuracy import errors
 from calflow.estimation.calibrated_model import CalibratedModel, with_maps_held
 from calflow.estimation.certainty import errors_in, tested_rows
 from calflow.estimation.model_tables import ModelObservation
@@ -90,7 +90,7 @@ class Material(RunOutcome):
     @cached_property
     def unit(self) -> MeasurementUnit:
         """The unit in which the model is judged."""
-        return judged_unit([observation.units[0] for observation in self.calibrated.model.observations])
+        return self.calibrated.unit
 
     @cached_property
     def held(self) -> np.ndarray:
