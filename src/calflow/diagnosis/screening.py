@@ -174,7 +174,8 @@ class _Block:
 
     roots (n_members, d, d): whitening of scores to independent standard normals, zero in directions that the data cannot show;
     value (n_members, d): information of these directions over the prior's, zero likewise; degrees_of_freedom (n_members,): their
-    number; information (n_members, d, d): S; share (n_members,): visible share of each candidate.
+    number; information (n_members, d, d): S; share (n_members,): visible share of each candidate;
+    precision (n_members, d): of the priors; bounds (n_members, 2, d): of the parameters; scans (n_members,): variants of its place.
     """
 
     members: tuple[int, ...]
@@ -184,6 +185,15 @@ class _Block:
     degrees_of_freedom: np.ndarray
     information: np.ndarray
     share: np.ndarray
+    precision: np.ndarray
+    bounds: np.ndarray
+    scans: np.ndarray
+
+    @cached_property
+    def covariance(self) -> np.ndarray:
+        """Covariance (n_members, d, d) of the parameters, priors included."""
+        prior = np.eye(self.precision.shape[1]) * self.precision[:, None, :]
+        return np.asarray(np.linalg.inv(self.information + prior))
 
 
 @dataclass(frozen=True)
@@ -347,7 +357,10 @@ class Screening(Generic[H]):
             roots = normal.transpose(0, 2, 1) * sd[:, None, :]
             moved = np.maximum(np.einsum("mii,mi->m", whole, sd**2), np.finfo(float).tiny)
             share = np.sqrt(np.maximum(np.einsum("mii,mi->m", s, sd**2), 0.0) / moved)
-            parts = (columns, roots, value, shown.sum(axis=1), s, share)
+            causes = [self.regressors.candidates[m].cause for m in members]
+            bounds = np.array([cause.bounds for cause in causes])
+            scans = np.array([self.variants[cause.place] for cause in causes])
+            parts = (columns, roots, value, shown.sum(axis=1), s, share, sd**-2.0, bounds, scans)
             blocks.append(_Block(tuple(members[some]), *(part[some] for part in parts)))
         return [block for block in blocks if block.members]
 
@@ -372,23 +385,19 @@ class Screening(Generic[H]):
 
     def _weighed(self, block: _Block, score: np.ndarray, chi2: np.ndarray) -> _Evaluated:
         """Evaluate a block's candidates for scores (n_members, d, n_draws), given the model's chi² (n_draws,)."""
-        r = self.regressors
         squared = (block.roots @ score) ** 2
-        precision = r.prior_sd[block.columns] ** -2.0
-        covariance = np.linalg.inv(block.information + np.eye(score.shape[1]) * precision[:, None, :])
-        estimate = -covariance @ score
-        bounds = np.array([r.candidates[member].cause.bounds for member in block.members])
-        inside = np.clip(estimate, bounds[:, 0, :, None], bounds[:, 1, :, None])
+        estimate = -block.covariance @ score
+        inside = np.clip(estimate, block.bounds[:, 0, :, None], block.bounds[:, 1, :, None])
         beyond = estimate - inside
-        lost = (beyond * (block.information @ beyond)).sum(axis=1) + (precision[..., None] * beyond**2).sum(axis=1)
+        against_priors = (block.precision[..., None] * beyond**2).sum(axis=1)
+        lost = (beyond * (block.information @ beyond)).sum(axis=1) + against_priors
         shrunk = block.value / (block.value + 1)
         drops = np.maximum((squared * shrunk[..., None]).sum(axis=1) - lost, 0.0)
         fallen, narrowed = explained(squared.transpose(0, 2, 1), block.value[:, None, :])
         logs = log_likelihood((fallen - lost) / chi2, narrowed, self.degrees_of_freedom)
-        scans = np.array([self.variants[r.candidates[member].cause.place] for member in block.members])
-        cost = -2 * mixed(logs) + 2 * np.log(scans)[:, None]
+        cost = -2 * mixed(logs) + 2 * np.log(block.scans)[:, None]
         # Evidence uses the same degrees of freedom for all rivals; those of each enter its p-value.
-        return _Evaluated(squared.sum(axis=1), drops, cost, inside, covariance)
+        return _Evaluated(squared.sum(axis=1), drops, cost, inside, block.covariance)
 
     def trials(self, score: np.ndarray, chi2: np.ndarray, family: Family, false_alarm: float) -> Trials[H]:
         """Test all visible candidates at once for scores (n_columns, n_draws), given the model's chi² (n_draws,)."""
