@@ -305,7 +305,7 @@ def chances(
             truth, columns = amplitudes(candidate, regressors.prior_sd, size, len(which), rng), candidate.columns
             score = still[:, which] - screening.response(columns) @ truth
             chi2 = left[which] - (truth * (still[columns][:, which] + score[columns])).sum(axis=0)
-            by_place = screening.trials(score, chi2, family, false_alarm).by_place()
+            by_place = screening.trials(score, chi2, family, false_alarm)
             if place not in by_place:  # no form is testable
                 break
             left_open = _finding_sets(by_place)

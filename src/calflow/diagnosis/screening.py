@@ -4,7 +4,7 @@ The whitened residual e is that at the minimum of the fit's objective. For a can
 Jacobian J and the priors' precision P about an offset δ, the information is the Schur complement S = XᵀX - XᵀJ (JᵀJ + P)⁻¹ JᵀX and
 the score u = Xᵀe - XᵀJ (JᵀJ + P)⁻¹ (Jᵀe + P δ): uᵀ(S + prior)⁻¹u is the reduction of chi² in a refit.
 
-Candidates are also tested against many simulated residuals at once (`Trials`). p-values are corrected for the number of tests
+Candidates are also tested against many simulated residuals at once (`trials`). p-values are corrected for the number of tests
 (`Family`).
 """
 
@@ -144,28 +144,6 @@ def worth(smallest: np.ndarray) -> float:
     error = float(np.sqrt(BOOTSTRAP_SIGNIFICANCE * (1 - BOOTSTRAP_SIGNIFICANCE) / len(smallest)))
     quantile = float(np.quantile(smallest, BOOTSTRAP_SIGNIFICANCE - error))
     return float(max(1.0, np.log1p(-BOOTSTRAP_SIGNIFICANCE) / np.log1p(-min(quantile, BOOTSTRAP_SIGNIFICANCE))))
-
-
-@dataclass(frozen=True, eq=False)
-class Trials(Generic[H]):
-    """Visible candidates tested on simulated residuals: cost and passed (n_candidates, n_draws) each."""
-
-    causes: tuple[H, ...]
-    cost: np.ndarray
-    passed: np.ndarray
-
-    def by_place(self) -> dict[tuple[str, str], tuple[np.ndarray, np.ndarray]]:
-        """Return each place's cost (n_draws,), its variants' evidence averaged, and whether any variant passes (n_draws,)."""
-        members: dict[tuple[str, str], list[int]] = {}
-        for k, cause in enumerate(self.causes):
-            members.setdefault(cause.place, []).append(k)
-        return {
-            place: (
-                -2 * np.logaddexp.reduce(-self.cost[columns] / 2, axis=0),
-                np.asarray(self.passed[columns].any(axis=0)),
-            )
-            for place, columns in members.items()
-        }
 
 
 @dataclass(frozen=True)
@@ -399,22 +377,29 @@ class Screening(Generic[H]):
         # Evidence uses the same degrees of freedom for all rivals; those of each enter its p-value.
         return _Evaluated(squared.sum(axis=1), drops, cost, inside, block.covariance)
 
-    def trials(self, score: np.ndarray, chi2: np.ndarray, family: Family, false_alarm: float) -> Trials[H]:
-        """Test all visible candidates at once for scores (n_columns, n_draws), given the model's chi² (n_draws,)."""
-        members, cost, passed = list[int](), [], []
-        total = self.degrees_of_freedom
+    def trials(
+        self, score: np.ndarray, chi2: np.ndarray, family: Family, false_alarm: float
+    ) -> dict[tuple[str, str], tuple[np.ndarray, np.ndarray]]:
+        """Test all visible candidates at once for scores (n_columns, n_draws), given the model's chi² (n_draws,).
+
+        Return each place's cost (n_draws,), its variants' evidence averaged, and whether any variant passes (n_draws,).
+        """
+        variants: dict[tuple[str, str], list[tuple[np.ndarray, np.ndarray]]] = {}
         for block in self._blocks:
             weighed, spent = self._weighed(block, score[block.columns], chi2), block.degrees_of_freedom
-            causes = [self.regressors.candidates[member].cause for member in block.members]
-            tests = np.array([family.scans.get(cause.place, 1.0) for cause in causes]) * family.places
-            left = np.maximum(total - spent, 1.0)
+            places = [self.regressors.candidates[member].cause.place for member in block.members]
+            tests = np.array([family.scans.get(place, 1.0) for place in places]) * family.places
+            left = np.maximum(self.degrees_of_freedom - spent, 1.0)
             threshold = f_threshold(false_alarm, tests, spent, left)
             ratio = weighed.squared / np.maximum(chi2 - weighed.squared, 1e-12 * chi2) * (left / spent)[:, None]
-            members += block.members
-            cost.append(weighed.cost)
-            passed.append((ratio > threshold[:, None]) & (weighed.cost < 0) & (weighed.drops > family.material * chi2))
-        causes = [self.regressors.candidates[member].cause for member in members]
-        return Trials(tuple(causes), np.vstack(cost), np.vstack(passed))
+            passed = (ratio > threshold[:, None]) & (weighed.cost < 0) & (weighed.drops > family.material * chi2)
+            for place, cost, passes in zip(places, weighed.cost, passed, strict=True):
+                variants.setdefault(place, []).append((cost, passes))
+        every = {place: map(np.array, zip(*members, strict=True)) for place, members in variants.items()}
+        return {
+            place: (-2 * np.logaddexp.reduce(-cost / 2, axis=0), np.asarray(passes.any(axis=0)))
+            for place, (cost, passes) in every.items()
+        }
 
     def family(self, rng: np.random.Generator) -> Family:
         """Return the equivalent numbers of independent tests of each place's scan and of all places, by a bootstrap.
