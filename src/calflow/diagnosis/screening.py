@@ -201,14 +201,13 @@ class _Evaluated:
     """A block's candidates evaluated for draws of their scores, (n_members, n_draws) each.
 
     squared: reduction of chi² without priors and bounds; drops: the same with them; cost: minus twice the log evidence; estimate
-    (n_members, d, n_draws), covariance (n_members, d, d): of the parameters.
+    (n_members, d, n_draws): of the parameters.
     """
 
     squared: np.ndarray
     drops: np.ndarray
     cost: np.ndarray
     estimate: np.ndarray
-    covariance: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -355,7 +354,7 @@ class Screening(Generic[H]):
             drops, cost = weighed.drops[:, 0], weighed.cost[:, 0]
             scores += [
                 Score(self.regressors.candidates[member], float(drops[k]), float(drops[k] / self.chi2),
-                      float(p[k]), float(cost[k]), float(block.share[k]), weighed.estimate[k, :, 0], weighed.covariance[k],
+                      float(p[k]), float(cost[k]), float(block.share[k]), weighed.estimate[k, :, 0], block.covariance[k],
                       block.information[k], int(block.degrees_of_freedom[k]), float(left[k]))
                 for k, member in enumerate(block.members)
             ]  # fmt: skip
@@ -375,7 +374,7 @@ class Screening(Generic[H]):
         logs = log_likelihood((fallen - lost) / chi2, narrowed, self.degrees_of_freedom)
         cost = -2 * mixed(logs) + 2 * np.log(block.scans)[:, None]
         # Evidence uses the same degrees of freedom for all rivals; those of each enter its p-value.
-        return _Evaluated(squared.sum(axis=1), drops, cost, inside, block.covariance)
+        return _Evaluated(squared.sum(axis=1), drops, cost, inside)
 
     def trials(
         self, score: np.ndarray, chi2: np.ndarray, family: Family, false_alarm: float
