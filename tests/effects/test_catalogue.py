@@ -307,7 +307,7 @@ def test_a_curve_is_looked_for_at_lengths_that_the_poses_resolve(full: Measureme
     assert 0 < len(found) < len(LENGTHS)
     for effect in found:
         looked_for = np.array(effect.high) > np.array(effect.low)
-        assert (travels[looked_for] <= len(few) * effect.length / 2).all()
+        assert (travels[looked_for] <= len(few) * effect.length / 4).all()
 
 
 def test_a_size_is_of_one_unit(benches: dict[str, Bench]) -> None:

@@ -17,7 +17,7 @@ from calflow.robot.robot import Robot
 AMPLITUDE = 2e-4  # rad rms a priori
 LENGTHS = (0.06, 0.15, 0.5)  # rad: correlation lengths searched
 FINEST = 0.05  # rad: finest resolution
-DENSE = 2  # distinct readings required per correlation length
+DENSE = 4  # distinct readings required per correlation length
 SHORTEST = 0.25  # rad: travel with a curve
 GRID = 1000  # angles over the travel, for means
 
