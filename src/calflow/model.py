@@ -331,6 +331,10 @@ class Model:
         later = tuple(effect.later(series) for effect in self.effects)
         return self if later == self.effects else replace(self, effects=later)
 
+    def undecided(self, data: Measurements) -> np.ndarray:
+        """Return the rows (n_rows,) in which the fitted rows do not tell whether some effect acts."""
+        return np.logical_or.reduce([np.zeros(len(data), dtype=bool), *(each.undecided(data) for each in self.effects)])
+
     def columns(self, part: Observation | Effect) -> np.ndarray:
         """Return the indices of the free parameters of an observation or effect; ValueError if it is not in the model."""
         span = self._spans[self.parts.index(part)]

@@ -152,7 +152,7 @@ def missed_poses(
         residuals: the table of their `Residual`s.
         error: size of each row's residual, (n_rows,) in the unit by which the model is judged; nan where there is none.
     """
-    there = np.flatnonzero(np.isfinite(error))
+    there = np.flatnonzero(np.isfinite(error) & ~calibrated.model.undecided(data))
     by_pose = pd.Series(error[there], index=there).groupby(residuals["pose"].to_numpy()[there])
     largest = by_pose.idxmax().to_numpy(dtype=int)
     if data.in_images:  # a single badly seen point of many does not speak against the pose

@@ -257,8 +257,7 @@ def odd_rows(result: Fit, data: Measurements, studentised: Studentised) -> tuple
         alike = used & (studentised.units == size)
         values = studentised.values[alike]
         odd[alike] = length[alike] > limit_of_length(values[~np.isnan(values)].reshape(-1, int(size)))
-    for effect in result.model.effects:
-        odd &= ~effect.undecided(data)
+    odd &= ~result.model.undecided(data)
     error = leading_errors(result.model, result.estimate, data)
     odd &= ~clustered(data, np.nan_to_num(error), odd)
     if not 0 < odd.sum() <= MAX_OUTLIER_SHARE * used.sum():
