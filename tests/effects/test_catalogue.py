@@ -269,7 +269,7 @@ LACKING: list[tuple[str, Callable[[Measurements], Measurements], str]] = [
     ("session-frame", lambda data: replace(data, series=(Series(station=Station(by_session=True)),)), "by_session"),
     *((name, lambda data: without(data, "order"), "measuring order") for name in sorted(STEPS)),
     ("range-noise", lambda data: without(data, "range"), "tracker_mm"),
-    ("joint-error-map", lambda data: data.only(np.arange(len(data)) < 8), "readings per 0.5 rad"),
+    ("joint-error-map", lambda data: data.only(np.arange(len(data)) < 30), "4 per 0.5 rad"),
     ("axis-straightness", lambda data: data, "prismatic joint"),
     ("gravity-deflection", lambda data: data, "joint-compliance"),
     ("base-tilt", lambda data: data, "base-compliance"),

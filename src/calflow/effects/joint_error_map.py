@@ -17,7 +17,11 @@ from calflow.robot.robot import Robot
 AMPLITUDE = 2e-4  # rad rms a priori
 LENGTHS = (0.06, 0.15, 0.5)  # rad: correlation lengths searched
 FINEST = 0.05  # rad: finest resolution
-DENSE = 4  # distinct readings required per correlation length
+DENSE, DENSEST = (
+    4,
+    2,
+)  # distinct readings required per correlation length, or sufficient per step of the finest resolution
+FEWEST = 40  # distinct readings required in all: fewer do not tell a curve from the geometry beside it
 SHORTEST = 0.25  # rad: travel with a curve
 GRID = 1000  # angles over the travel, for means
 
@@ -57,7 +61,7 @@ class JointErrorMap(JointError):
     def unfit(cls, robot: Robot, data: Measurements) -> str:
         """Return the density of readings required where no joint has it."""
         longest = max(LENGTHS)
-        few = f"at least {DENSE} different readings per {longest} rad of a joint"
+        few = f"at least {FEWEST} different readings of a joint, and {DENSE} per {longest} rad"
         return "" if _dense(robot, data, longest).any() else few
 
     @property
@@ -96,4 +100,5 @@ def _dense(robot: Robot, data: Measurements, length: float) -> np.ndarray:
     travel = np.ptp(q, axis=0)
     different = np.array([len(np.unique(np.round(column, 4))) for column in q.T])
     turns = np.array([joint.kind == "revolute" for joint in robot.joints])
-    return turns & (travel > SHORTEST) & (different >= DENSE * travel / length)
+    required = np.maximum(FEWEST, travel * min(DENSE / length, DENSEST / FINEST))
+    return turns & (travel > SHORTEST) & (different >= required)
