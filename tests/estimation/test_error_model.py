@@ -28,6 +28,7 @@ from calflow.estimation.needed_conditions import needed_conditions
 from calflow.estimation.noise import PerUnit
 from calflow.estimation.smooth_functions import InPlace, JointField, Shift, is_mean
 from calflow.model import build
+from calflow.robot.parts import Expected
 from estimation.data import POSES, SIGMA, measured, stated, wavering
 from robots import industrial
 
@@ -210,6 +211,29 @@ def test_a_wander_that_is_named_goes_on_as_one_that_is_not(form):
     )
     slopes = before.at(model, named.estimate, then).slopes(model.point_jacobian(named.estimate, then))
     assert form is warming or slopes == pytest.approx(model.position_jacobian(named.estimate, end), abs=1e-9)
+
+
+@pytest.mark.parametrize("held", [False, True])
+def test_what_warming_brought_about_may_be_lost_when_the_robot_stands(held):
+    """Fails if a warm-up is promised to last for days, or is lost at once, or one whose size is held cannot be promised."""
+    data = wavering(4, 0.0)
+    cause = Cause(data.robot, warming(data.robot), "links")
+    stated_size = Expected(name=cause.declared[0].name, value=1e-3, fixed=True)
+    robot = replace(data.robot, expected=(stated_size,) if held else ())
+    data, cause = data.on(robot), replace(cause, robot=robot, effect=warming(robot))
+    model = build(robot, ("geometry",), data.given)
+    model = replace(model, effects=(*model.effects, cause))
+    warm = np.where([parameter.name == stated_size.name for parameter in model.parameters], 1e-3, model.nominal)
+    data.table[["x", "y", "z"]] = model.position(warm, data.conditions)
+    found = fit_reweighted(model, data, stated(data), model.nominal[None], "linear")[0]
+    assert model.values(cause, found.estimate) == pytest.approx(1e-3, rel=0.02)
+    known = ErrorModel.white(0.0, len(found.estimate))
+    later = beyond_measured(known, SmoothVariances.of(found, data, True))
+    rows = replace(data, table=data.table.assign(time=1e6)).conditions
+    cold = replace(data, table=data.table.assign(time=0.0)).conditions
+    lost = np.sqrt(((model.point(found.estimate, rows) - model.point(found.estimate, cold)) ** 2).mean(axis=0))
+    assert promised(later, found, data, 2 * 86400.0) == pytest.approx(lost, rel=0.05)
+    assert (promised(later, found, data, 60.0) < 0.1 * lost).all()
 
 
 def test_rows_in_order_wander_anew_in_another_measurement():

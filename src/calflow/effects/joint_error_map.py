@@ -17,10 +17,8 @@ from calflow.robot.robot import Robot
 AMPLITUDE = 2e-4  # rad rms a priori
 LENGTHS = (0.06, 0.15, 0.5)  # rad: correlation lengths searched
 FINEST = 0.05  # rad: finest resolution
-DENSE, DENSEST = (
-    4,
-    2,
-)  # distinct readings required per correlation length, or sufficient per step of the finest resolution
+DENSE = 4  # distinct readings required per correlation length
+DENSEST = 2  # distinct readings per step of the finest resolution, which suffice at any length
 FEWEST = 40  # distinct readings required in all: fewer do not tell a curve from the geometry beside it
 SHORTEST = 0.25  # rad: travel with a curve
 GRID = 1000  # angles over the travel, for means

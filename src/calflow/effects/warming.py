@@ -13,7 +13,7 @@ from calflow.measurements.measurements import Measurements, pauses
 from calflow.robot.mechanism import Row
 from calflow.robot.robot import Robot
 
-NEVER = ((np.inf, np.inf),)
+NEVER = ((np.inf, np.inf),)  # in place of no pause, which has fewer parameters
 REFERENCE = 293.15  # K: reference temperature of drawings (ISO 1)
 WARM_UPS = (900.0, 1800.0, 3600.0, 7200.0)  # s: time constants searched
 
@@ -40,8 +40,8 @@ class Warming(Effect):
         forms = (cls(robot),) if data.temperature_changes else ()
         if "time" not in data.given:
             return forms
-        breaks = dict.fromkeys([(), pauses(data)])
-        return (*forms, *(cls(robot, constant, pauses) for pauses in breaks for constant in WARM_UPS))
+        rests = dict.fromkeys([(), pauses(data)])
+        return (*forms, *(cls(robot, constant, rest) for rest in rests for constant in WARM_UPS))
 
     def later(self, series: Measurements | None) -> Self:
         """Return the same with the pauses of a series that has a clock of its own: it begins as warm as the fitted rows."""
@@ -82,9 +82,8 @@ class Warming(Effect):
         risen = self._risen(row.time)
         for end, start in self.pauses:
             risen += self._risen(row.time - start) - self._risen(row.time - end)
-        return (
-            ca.reshape(p, len(self.symbols), -1).T @ ca.vertcat(risen, 1 - self._risen(row.time))[: len(self.symbols)]
-        )
+        of_parameters = [risen, 1 - self._risen(row.time)][: len(self.symbols)]
+        return ca.reshape(p, len(of_parameters), -1).T @ ca.vertcat(*of_parameters)
 
     def _risen(self, passed: ca.SX) -> ca.SX:
         """Return the response to a step of heating, a time after it [s]."""

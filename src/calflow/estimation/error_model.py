@@ -584,9 +584,9 @@ def _beyond_time(errors: ErrorModel, sizes: SmoothVariances) -> ErrorModel:
 def _cooling(errors: ErrorModel, result: Fit, data: Measurements) -> ErrorModel:
     losses = []
     for cause in (effect for effect in result.model.effects if isinstance(effect, Cause)):
-        warming, growth = cause.effect, float(result.estimate[result.model.columns(cause)][0])
+        warming = cause.effect
         if isinstance(warming, Warming) and warming.constant:
-            end = float(data.table["time"].max())
+            growth, end = float(result.model.values(cause, result.estimate)[0]), float(data.table["time"].max())
             once = replace(warming, pauses=()).figures_text
             losses.append(Cooling(data.robot, cause.id, once, cause.part, growth, end))
     return errors.with_functions(losses, np.ones(len(losses)))
