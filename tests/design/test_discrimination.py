@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from calflow.design.discrimination import MOST_NEXT_POSES, criteria_between
-from calflow.design.optimality import TCriterion, propose
 from calflow.design.planned import Planned
+from calflow.design.t_optimality import TCriterion, propose
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.stepwise import WITHIN, Linearisation

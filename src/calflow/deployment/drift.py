@@ -29,8 +29,9 @@ from calflow.deployment.movements import (
 )
 from calflow.deployment.validation import ELSEWHERE, OF_THE_SAME, Station, of_sessions, stands
 from calflow.design.candidates import candidates
-from calflow.design.optimality import Pair, ParameterCriterion, TCriterion, propose
+from calflow.design.optimality import ParameterCriterion
 from calflow.design.search import greedy
+from calflow.design.t_optimality import Pair, TCriterion, propose
 from calflow.estimation.calibrated_model import CalibratedModel, shared_errors
 from calflow.files.problems import InputError, refuse
 from calflow.files.tables import StoredResults, column

@@ -11,8 +11,8 @@ from itertools import combinations
 import numpy as np
 
 from calflow.design.candidates import candidates
-from calflow.design.optimality import Pair, TCriterion, closest, propose
 from calflow.design.planned import Planned
+from calflow.design.t_optimality import Pair, TCriterion, closest, propose
 from calflow.diagnosis.diagnosis import Diagnosis
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import Score
