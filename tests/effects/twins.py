@@ -283,6 +283,14 @@ def step(cause: str, part: str, joint: int = 0) -> Callable[[Bench], Twin]:
     return twin
 
 
+def payload_step(bench: Bench) -> Twin:
+    """The one step that acts on the rows after it: those before have the payload that the table says."""
+    hidden = Hidden("payload-step", 0, 0.2, seed=6)
+    before = stepped(hidden, hidden.rng, bench.rows) == 0
+    moment = float(bench.table.table["order"][before].max()) + 0.5
+    return Twin(made(bench, "payload-step", moment=moment), {"payloads.e": hidden.size}, hidden)
+
+
 def turning_step(bench: Bench) -> Twin:
     """The simulator's device does not turn: written here."""
     turn = np.array([2e-5, -3e-5, 5e-5])
@@ -293,7 +301,7 @@ def turning_step(bench: Bench) -> Twin:
     return Twin(made(bench, "frame-step", moment=moment, turning=True), values, turned)
 
 
-STEPS = {"frame-step", "joint-step", "tool-slip"}
+STEPS = {"frame-step", "joint-step", "payload-step", "tool-slip"}
 TWINS: dict[str, Callable[[Bench], Twin]] = {
     "joint-compliance": one("joint-compliance", "joint2.s", Hidden("joint-compliance", 2, 5e-8)),
     "nonlinear-joint-stiffness, cubic": cubic,
@@ -352,6 +360,7 @@ TWINS: dict[str, Callable[[Bench], Twin]] = {
     "session-frame, from a session on": frame_from_a_session_on,
     "frame-step, shifting": step("frame-step", "device"),
     "joint-step": step("joint-step", "joint3", 3),
+    "payload-step": payload_step,
     "tool-slip": step("tool-slip", "tool"),
     "frame-step, turning": turning_step,
     "marker-place": marker_place,

@@ -10,7 +10,7 @@ from hidden import forms, frame_causes, joint_causes
 from hidden.file_faults import ON_TABLE
 from hidden.frame_causes import stepped
 from hidden.random_functions import direction, random_function
-from hidden.simulator import Array, Motion, Robot, Rows, State, equilibrium, tool_point
+from hidden.simulator import Array, Motion, Robot, Rows, State, carried, equilibrium, tool_point
 from hidden.tool_causes import ON_TOOL
 
 WIND_UP = np.deg2rad(5.0)  # travel over which friction winds a joint up
@@ -215,7 +215,7 @@ def tool_deflection(h: Hidden, robot: Robot, rows: Rows, state: State) -> Motion
     """The payload's weight moves the tool; with extra "anisotropic" twice and ten times less across x."""
     soft = h.size * (np.array([1.0, 0.5, 0.1]) if h.extra == "anisotropic" else np.ones(3))
     down = -state.frames.tips[-1][:, 2, :3]
-    return _motion(robot, rows, "tool", soft * down * 9.80665 * robot.payload_mass[rows.payload][:, None])
+    return _motion(robot, rows, "tool", soft * down * 9.80665 * carried(robot, rows)[:, None])
 
 
 # --- What differs from the robot file ----------------------------------------------------------------
@@ -225,6 +225,11 @@ def payload_mass(h: Hidden, robot: Robot, rows: Rows) -> Robot:
     """All payloads, or the one that extra names, are heavier than stated by this share."""
     wrong = np.array([h.extra in ("", name) for name in PAYLOADS])
     return replace(robot, payload_mass=robot.payload_mass * (1 + h.size * wrong))
+
+
+def payload_step(h: Hidden, robot: Robot, rows: Rows) -> Robot:
+    """From a moment on all payloads are heavier than stated by this share."""
+    return replace(robot, payload_mass=robot.payload_mass[:, None] * (1 + h.size * stepped(h, h.rng, rows)))
 
 
 def payload_com(h: Hidden, robot: Robot, rows: Rows) -> Robot:
@@ -313,6 +318,7 @@ ON_MOTION = {
 ON_ROBOT = {
     "payload-mass": payload_mass,
     "payload-com": payload_com,
+    "payload-step": payload_step,
     "link-mass": link_mass,
     "thermal-growth": thermal_growth,
     **forms.ON_ROBOT,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hidden.simulator import WEIGHT, Array, Motion, Robot, Rows, State
+from hidden.simulator import WEIGHT, Array, Motion, Robot, Rows, State, carried
 
 if TYPE_CHECKING:
     from hidden.causes import Hidden
@@ -25,7 +25,7 @@ def cantilever_bracket(h: Hidden, robot: Robot, rows: Rows, state: State) -> Mot
     length = rng.uniform(0.15, 0.5)
     end = length * slanting(rng, np.array([0.0, 0.0, 1.0]), np.deg2rad(60))
     flange = state.frames.tips[-1][:, :3, :3]
-    force = (WEIGHT @ flange) * robot.payload_mass[rows.payload][:, None]
+    force = (WEIGHT @ flange) * carried(robot, rows)[:, None]
     moment = np.cross(robot.payload_com[rows.payload] - end, force)
     soft = 3 * h.size / length**3 * round_tube(end)
     shift, turn = bent(np.array([np.zeros(3), end]), [soft], force, moment)

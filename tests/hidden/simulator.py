@@ -343,9 +343,15 @@ def equilibrium(robot: Robot, rows: Rows, response: Callable[[State], Motion]) -
     return motion, state
 
 
+def carried(robot: Robot, rows: Rows) -> Array:
+    """The payload's mass (rows,) [kg]; a robot's payload_mass may differ from row to row, (payloads, rows)."""
+    masses = np.broadcast_to(robot.payload_mass.T, (len(rows), len(robot.payload_com)))
+    return np.asarray(np.take_along_axis(masses, rows.payload[:, None], axis=1)[:, 0])
+
+
 def _bodies(robot: Robot, rows: Rows, found: Frames) -> tuple[Array, Array]:
     """Masses (rows, bodies) and their centres (rows, bodies, 3): links, payload, bars."""
-    masses = [*np.broadcast_to(robot.mass[:, None], (robot.n, len(rows))), robot.payload_mass[rows.payload]]
+    masses = [*np.broadcast_to(robot.mass[:, None], (robot.n, len(rows))), carried(robot, rows)]
     centres = [moved(frame, com) for frame, com in zip(found.links, robot.com, strict=True)]
     centres.append(moved(found.tips[-1], robot.payload_com[rows.payload]))
     if robot.loop:

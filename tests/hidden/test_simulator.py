@@ -45,6 +45,7 @@ USUAL = {
     "gravity-compensator": (2, 1e3, ""),
     "payload-mass": (0, 0.1, ""),
     "payload-com": (0, 0.05, ""),
+    "payload-step": (0, 0.1, ""),
     "link-mass": (3, 0.1, ""),
     "tool-deflection": (0, 3e-7, "anisotropic"),
     "thermal-growth": (0, 12e-6, ""),

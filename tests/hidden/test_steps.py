@@ -57,6 +57,17 @@ def test_a_tool_that_slips_is_found(name, tmp_path):
     assert detail in first["statement"]
 
 
+@pytest.mark.parametrize("share", [-0.25, 0.4])
+def test_a_payload_exchanged_unnoticed_is_no_jump_of_joints(share, tmp_path):
+    """Fails if joints that a changed payload bends are said to have jumped, or its change of mass is another."""
+    hidden = Hidden("payload-step", 0, share, seed=7)
+    seen = found(tmp_path, case(ROBOTS[share > 0], hidden, columns=CLOCK, payloads=("half", "full")), 34)
+    first = seen.causes.iloc[0]
+    assert len(seen.causes) == 1, seen.causes
+    assert (first["cause"], first["status"]) == ("payload-step", "named")
+    assert first["estimate"] == pytest.approx(share, abs=4 * first["sd"])
+
+
 JUMPED = case(
     "serial", Hidden("joint-step", 3, np.deg2rad(0.1), seed=2), columns=("approach", "sigma"), effects=("geometry",)
 )

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hidden.frame_causes import stepped
-from hidden.simulator import WEIGHT, Array, Motion, Robot, Rows, State
+from hidden.simulator import WEIGHT, Array, Motion, Robot, Rows, State, carried
 
 if TYPE_CHECKING:
     from hidden.causes import Hidden
@@ -31,7 +31,7 @@ def tool_sag(h: Hidden, robot: Robot, rows: Rows, state: State) -> Motion:
 
 def bracket(h: Hidden, robot: Robot, rows: Rows, state: State) -> Motion:
     """A bracket along the flange's axis gives way under the payload by size [m/N] across it, and turns."""
-    weight = _in_flange(state, WEIGHT) * robot.payload_mass[rows.payload][:, None]
+    weight = _in_flange(state, WEIGHT) * carried(robot, rows)[:, None]
     return _moved(robot, rows, h.size * _across(weight, Z), h.size * 1.5 / LENGTH * np.cross(Z, weight))
 
 
