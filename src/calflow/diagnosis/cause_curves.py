@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calflow.diagnosis.fitted import Fitted
-from calflow.diagnosis.unexplained import Lever
 from calflow.effects import Effect
 from calflow.effects.base import Cause, Variable
 from calflow.estimation.accuracy import completed, error_jacobian, errors, judged_unit
+from calflow.estimation.smooth_functions import JointField
 from calflow.files.deferred import pd
 from calflow.files.tables import column, to_frame, typed
 from calflow.files.units import METRE
@@ -51,7 +51,7 @@ def curves(final: Fitted, causes: Sequence[Cause], data: Measurements) -> pd.Dat
     model, estimate = final.model, final.fit.estimate
     left = -np.nan_to_num(errors(model, estimate, data))
     model, estimate = completed(model, estimate, data)
-    turned = replace(model, effects=(*model.effects, Lever(model.robot)))
+    turned = replace(model, effects=(*model.effects, JointField(model.robot, orders=0)))
     whole = error_jacobian(turned, np.append(estimate, np.zeros(model.robot.n_joints)), data)
     jacobian, levers = np.split(whole, [len(estimate)], axis=2)
     unit = judged_unit(leading_units(data))

@@ -18,7 +18,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import comb
-from typing import ClassVar
 
 import casadi as ca
 import numpy as np
@@ -29,7 +28,7 @@ from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import Background
 from calflow.diagnosis.screening import MATERIAL, Score, Screening, by_place
 from calflow.effects import Effect
-from calflow.effects.base import ITS_ANGLE, UNITS, Cause, JointError, Term
+from calflow.effects.base import ITS_ANGLE, UNITS, Cause
 from calflow.estimation.accuracy import judged_unit
 from calflow.estimation.smooth_functions import (
     SIZE,
@@ -234,18 +233,6 @@ def _rates(time: np.ndarray) -> np.ndarray:
     return 2 * np.pi / span * np.linspace(1.0, turns, min(FREQUENCIES, int(2 * turns)))
 
 
-@dataclass(frozen=True)
-class Lever(JointError):
-    """An error of each joint's angle, to obtain the displacement it causes."""
-
-    id: ClassVar[str] = "lever"
-    title: ClassVar[str] = "lever"
-
-    def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
-        """Return the angle."""
-        return [Term("angle", self.unit(joint), SIZE, 1.0, ca.SX(1))]
-
-
 @dataclass(frozen=True, eq=False)
 class Standstills:
     """Variance components of the joints' errors at each standstill, beside all other errors that a fitted model leaves.
@@ -265,7 +252,7 @@ class Standstills:
         """Return the variance components beside a fitted model; a subset of very many poses."""
         apart, n = replace(fitted, background=None, shared=0.0), fitted.data.robot.n_joints
         stacking, weight = apart.problem.stacking, apart.problem.weight
-        whole = apart.regressors([Lever(fitted.data.robot)])
+        whole = apart.regressors([JointField(fitted.data.robot, orders=0)])
         numbers = np.unique(fitted.poses)
         rows = np.flatnonzero(np.isin(fitted.poses, numbers[:: -(-len(numbers) // MOST_POSES)])[stacking.row])
         pose = np.unique(fitted.poses[stacking.row[rows]], return_inverse=True)[1]

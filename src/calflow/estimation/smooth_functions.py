@@ -7,9 +7,9 @@ diagnosis weighs causes against a Gaussian process of all joints together instea
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import combinations, pairwise
 from typing import ClassVar, Literal, TypeVar
 
@@ -210,18 +210,6 @@ class Oscillation(SmoothFunction):
         return point + p[:3] * ca.cos(angle) + p[3:] * ca.sin(angle) if row.time.nnz() else point
 
 
-class DeviceShift(SmoothFunction):
-    """A shift of the reported point."""
-
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Return the shift along each axis."""
-        return self.amplitudes("device", "xyz")
-
-    def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
-        """Return the shifted point."""
-        return point + p
-
-
 class LinkLengths(SmoothFunction):
     """A relative elongation of all links."""
 
@@ -234,21 +222,11 @@ class LinkLengths(SmoothFunction):
         return grown(self.robot, dims, 1 + p)
 
 
-class JointZeros(JointError):
-    """Errors of the joints' zeros."""
-
-    id, title = SmoothFunction.id, SmoothFunction.title
-
-    def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
-        """Return the zero."""
-        return [Term("zero", self.unit(joint), SIZE, 1.0, ca.SX(1))]
-
-
 Times = TypeVar("Times", ca.SX, ca.DM)
 
 # Quantities of device and robot that may walk in time, as the effects of a constant change.
-WALKING: dict[str, type[Effect]] = {
-    "shift": DeviceShift, "scale": TrackerScale, "lengths": LinkLengths, "zeros": JointZeros,
+WALKING: dict[str, Callable[[Robot], Effect]] = {
+    "shift": partial(Shift, orders=0), "scale": TrackerScale, "lengths": LinkLengths, "zeros": partial(JointField, orders=0),
 }  # fmt: skip
 
 
@@ -600,15 +578,15 @@ def in_time(data: Measurements, of: str = Wandering.of) -> list[InTime]:
     if clock not in data.given or data.table[clock].nunique() < 2:
         return []
     at = data.table[clock].to_numpy(float)
-    n, every = STEPS if WALKING[of].of_measuring() else STEPS_OF_ROBOT, np.unique(at)
+    walk = Wandering(data.robot, of, clock)
+    n, every = STEPS if walk.quantity.of_measuring() else STEPS_OF_ROBOT, np.unique(at)
     paused = np.flatnonzero(np.diff(every) > np.ptp(at) / n)
     nodes = np.unique(
         [*np.quantile(at, np.linspace(0, 1, n + 1), method="nearest"), *every[paused], *every[paused + 1]]
     )
-    constant = Wandering(data.robot, of, clock).time_constant
-    if np.isfinite(constant):
+    if np.isfinite(walk.time_constant):
         # The first step is the initial state of a stationary process.
-        nodes = np.append(at.min() - STATIONARY * constant, nodes)
+        nodes = np.append(at.min() - STATIONARY * walk.time_constant, nodes)
     steps = [InTime(data.robot, of, clock, begin, end) for begin, end in pairwise(nodes.tolist())]
     return [
         replace(step, share=step.change(np.ptp(at)) * (float(step.diffusion(ca.DM(step.end - step.begin))) / np.ptp(at)) ** 0.5,
