@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from calflow.diagnosis.background import BackgroundBasis
-from calflow.diagnosis.extension import BlocksLeftOut, blocks_left_out, carried_over, pose_blocks
+from calflow.diagnosis.extension import blocks_beside_background, carried_over, left_out_errors, pose_blocks
 from diagnosis.found import cause, hidden, start
 from diagnosis.test_unexplained import fitted
 from estimation.data import SIGMA
@@ -15,8 +15,8 @@ def test_a_true_cause_carries_over_to_blocks_that_were_left_out():
     """Fails if left-out blocks are not predicted from the others alone, or a needless cause is said to help there."""
     eccentric, needless = cause("joint-eccentricity", "joint1", order=2), cause("gear-ratio-error", "joint4")
     known = start(hidden([(eccentric, (1.5e-4, -1e-4))])).with_causes([eccentric, needless])
-    kinds = blocks_left_out(known, BackgroundBasis.of(known))
-    assert all(len(kind.rows) > 3 for kind in kinds)
+    kinds = blocks_beside_background(known, BackgroundBasis.of(known))
+    assert all(len(kind) > 3 for kind in kinds)
     found, not_there = (carried_over(known, one, kinds) for one in known.causes)
     assert found.holds
     assert found.gain[0] > 20 > abs(not_there.gain[0])
@@ -33,8 +33,8 @@ def test_a_smooth_error_does_not_decide_whether_a_cause_carries_over():
         data.table[["x", "y", "z"]] += 5 * SIGMA * smooth
         known = start(data).with_causes([eccentric])
         row = known.problem.stacking.row
-        alone = [BlocksLeftOut.of(known.alone, kind[row]) for kind in pose_blocks(known)]
-        beside = carried_over(known, eccentric, blocks_left_out(known, BackgroundBasis.of(known)))
+        alone = [known.alone.split(kind[row]) for kind in pose_blocks(known)]
+        beside = carried_over(known, eccentric, blocks_beside_background(known, BackgroundBasis.of(known)))
         assert beside.holds
         gained, without = gained + beside.gain[0], without + carried_over(known, eccentric, alone).gain[0]
     assert gained > 1.3 * without
@@ -44,17 +44,15 @@ def test_what_is_missed_is_that_of_a_fit_to_the_other_rows():
     """Fails if the sums over the other blocks are not those of a model fitted without the rows that are left out."""
     eccentric, needless = cause("joint-eccentricity", "joint1", order=2), cause("gear-ratio-error", "joint4")
     known = start(hidden([(eccentric, (1.5e-4, -1e-4))])).with_causes([eccentric, needless])
-    whole, gone = known.alone, np.array([0, 3])
+    gone = np.array([0, 3])
     value = known.fit.estimate[np.flatnonzero(~known.fit.at_bound)][gone]
-    for regressors, kind_missed in (
-        (whole, lambda kind: kind.missed),
-        (whole.without(gone, value), lambda kind: kind.missed_without(gone, value)),
-    ):
-        for kind in blocks_left_out(known, BackgroundBasis.of(known)):
-            for out, missed in zip(kind.rows, kind_missed(kind), strict=True):
-                j, e = (np.delete(array, out, axis=0) for array in (regressors.jacobian, regressors.residual))
-                change = np.linalg.solve(j.T @ j + np.diag(regressors.precision), j.T @ e + regressors.pull)
-                assert np.allclose(missed, regressors.residual[out] - regressors.jacobian[out] @ change, atol=1e-8)
+    for blocks in blocks_beside_background(known, BackgroundBasis.of(known)):
+        for kind in (blocks, [block.without(gone, value) for block in blocks]):
+            for k, (out, missed) in enumerate(zip(kind, left_out_errors(kind), strict=True)):
+                others = [*kind[:k], *kind[k + 1 :]]
+                j, e = (np.concatenate([getattr(other, name) for other in others]) for name in ("jacobian", "residual"))
+                change = np.linalg.solve(j.T @ j + np.diag(out.precision), j.T @ e + out.pull)
+                assert np.allclose(missed, out.residual - out.jacobian @ change, atol=1e-8)
 
 
 def test_a_curve_in_time_is_not_asked_for_times_that_were_left_out():
@@ -67,8 +65,8 @@ def test_a_curve_in_time_is_not_asked_for_times_that_were_left_out():
     before = fitted(bumped)
     curve = cause("frame-drift", "device", length=0.15, end=float(before.data.table["time"].max()))
     known = before.with_causes([curve])
-    row, (in_joints,) = np.arange(len(known.data)), blocks_left_out(known, BackgroundBasis.of(known))
-    in_time = BlocksLeftOut.of(known.alone, (8 * row // len(row))[known.problem.stacking.row])
+    row, (in_joints,) = np.arange(len(known.data)), blocks_beside_background(known, BackgroundBasis.of(known))
+    in_time = known.alone.split((8 * row // len(row))[known.problem.stacking.row])
     told = carried_over(known, curve, [in_joints, in_time])
     assert told.holds
     assert told.gain == carried_over(known, curve, [in_joints]).gain

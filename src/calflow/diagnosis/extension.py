@@ -283,69 +283,37 @@ def pose_blocks(fitted: Fitted) -> list[np.ndarray]:
     return kinds
 
 
-@dataclass(frozen=True, eq=False)
-class BlocksLeftOut:
-    """The blocks of one kind, for prediction of each from the others by a linearised model.
-
-    rows: indices of each block's residuals; fitted (n_blocks, n_free, n_free), left (n_blocks, n_free): products of the Jacobian
-    with itself and with the residual over these; the normal equations of the other blocks are sums of theirs.
-    """
-
-    regressors: Regressors[Cause]
-    rows: tuple[np.ndarray, ...]
-    fitted: np.ndarray
-    left: np.ndarray
-
-    @staticmethod
-    def of(regressors: Regressors[Cause], block: np.ndarray) -> BlocksLeftOut:
-        """Return the products by block, given the residuals' block numbers (n,)."""
-        rows = tuple(np.flatnonzero(block == number) for number in np.unique(block))
-        parts = [(regressors.jacobian[members], regressors.residual[members]) for members in rows]
-        return BlocksLeftOut(
-            regressors, rows, np.array([j.T @ j for j, _ in parts]), np.array([j.T @ e for j, e in parts])
-        )
-
-    @cached_property
-    def missed(self) -> list[np.ndarray]:
-        """Each block's whitened prediction errors, with parameters fitted to the other blocks."""
-        return self.missed_without(np.zeros(0, dtype=int), np.zeros(0))
-
-    def missed_without(self, gone: np.ndarray, value: np.ndarray) -> list[np.ndarray]:
-        """Return the prediction errors with some free parameters (by index) removed, whose estimates are value."""
-        regressors = self.regressors
-        keep = np.setdiff1d(np.arange(self.fitted.shape[1]), gone)
-        change, prior = np.zeros(self.fitted.shape[1]), np.diag(regressors.precision[keep])
-        change[gone] = value
-        missed = []
-        for k, members in enumerate(self.rows):
-            others = np.arange(len(self.rows)) != k
-            whole = self.fitted[others].sum(axis=0)
-            left = self.left[others].sum(axis=0) - whole[:, gone] @ value
-            change[keep] = np.linalg.solve(whole[np.ix_(keep, keep)] + prior, left[keep] + regressors.pull[keep])
-            missed.append(regressors.residual[members] - regressors.jacobian[members] @ change)
-        return missed
-
-
-def blocks_left_out(fitted: Fitted, basis: BackgroundBasis) -> list[BlocksLeftOut]:
-    """Return a fitted model's blocks, one object per kind, which are predicted beside the background that it leaves.
+def blocks_beside_background(fitted: Fitted, basis: BackgroundBasis) -> list[list[Regressors[Cause]]]:
+    """Return a fitted model's blocks of poses, a list per kind, linearised beside the background that it leaves.
 
     Otherwise a smooth error several times as large as the noise would decide whether a cause gains.
     """
     row, left, regressors = fitted.problem.stacking.row, background(fitted, basis), fitted.alone
     if left is not None:
         regressors = regressors.with_amplitudes(left.correlation(fitted.problem.weight))
-    return [BlocksLeftOut.of(regressors, kind[row]) for kind in pose_blocks(fitted)]
+    return [regressors.split(kind[row]) for kind in pose_blocks(fitted)]
 
 
-def carried_over(fitted: Fitted, cause: Cause, kinds: Sequence[BlocksLeftOut]) -> CarriedOver:
+def left_out_errors(blocks: Sequence[Regressors[Cause]]) -> list[np.ndarray]:
+    """Return each block's whitened prediction errors, with parameters fitted to the other blocks."""
+    errors = []
+    for block in blocks:
+        others = [other.products for other in blocks if other is not block]
+        information = np.diag(block.precision) + sum(other.fitted for other in others)
+        change = np.linalg.solve(information, block.pull + sum(other.fitted_left for other in others))
+        errors.append(block.residual - block.jacobian @ change)
+    return errors
+
+
+def carried_over(fitted: Fitted, cause: Cause, kinds: Sequence[Sequence[Regressors[Cause]]]) -> CarriedOver:
     """Return the gain of a cause of the model at left-out blocks of each kind.
 
     A general smooth function of time cannot predict times that were left out: it is tested on blocks in joint space alone.
     """
-    columns, value = fitted.own(cause)
     gains, ratios = [], list[float]()
-    for kind in kinds[:1] if cause.effect.smooth_in else kinds:
-        pairs = list(zip(kind.missed_without(columns, value), kind.missed, strict=True))
+    for blocks in kinds[:1] if cause.effect.smooth_in else kinds:
+        without = [block.without(*fitted.own(cause)) for block in blocks]
+        pairs = list(zip(left_out_errors(without), left_out_errors(blocks), strict=True))
         gains.append(float(sum(a @ a - b @ b for a, b in pairs)))
         ratios += [np.log(np.abs(a).max() / np.abs(b).max()) for a, b in pairs]
     mean, spread = float(np.mean(ratios)), float(np.std(ratios, ddof=1)) / np.sqrt(len(ratios))
@@ -468,7 +436,7 @@ def _weakest(fitted: Fitted, basis: BackgroundBasis, variants: Variants) -> Caus
     weakest = min(against, key=lambda cause: against[cause], default=None)
     if weakest is None or against[weakest] < 0:
         return weakest
-    kinds = blocks_left_out(fitted, basis)
+    kinds = blocks_beside_background(fitted, basis)
     failing = [cause for cause in against if not carried_over(fitted, cause, kinds).holds]
     return min(failing, key=lambda cause: against[cause], default=None)
 
@@ -509,7 +477,7 @@ def _second_thought(best: Trial[Cause], tried: list[Trial[Cause]], search: Stepw
 
 
 def _judged(extension: Extended, basis: BackgroundBasis, against: dict[Cause, float]) -> tuple[Detection[Cause], ...]:
-    kinds = blocks_left_out(extension.fitted, basis)
+    kinds = blocks_beside_background(extension.fitted, basis)
     return tuple(
         replace(
             finding,
