@@ -40,6 +40,7 @@ VARIANTS = {  # how many forms there are to try, where not one
     "thermal-growth": 10,
     "housing-growth": 10,
     "frame-drift": 6,
+    "stand-growth": 10,
     "session-frame": 8,
 }
 
@@ -250,19 +251,20 @@ def gearless(data: Measurements) -> Measurements:
 OF_MASSES = (
     "joint-compliance", "nonlinear-joint-stiffness", "torque-backlash", "bearing-compliance", "link-bending",
     "link-torsion", "base-compliance", "gravity-compensator", "payload-mass", "payload-com", "link-mass",
-    "friction-wind-up", "base-off-level",
+    "friction-wind-up", "base-off-level", "payload-step",
 )  # fmt: skip
 LACKING: list[tuple[str, Callable[[Measurements], Measurements], str]] = [
     *((name, bare, "mass_kg and com_mm") for name in OF_MASSES),
-    *((name, lambda data: changed(data, payloads={}), "payload") for name in ("payload-mass", "payload-com", "tool-deflection")),
+    *((name, lambda data: changed(data, payloads={}), "payload")
+      for name in ("payload-mass", "payload-com", "payload-step", "tool-deflection")),
     ("gear-transmission-error", gearless, "gear_ratio"),
     ("joint-backlash", lambda data: without(data, "approach"), "approach1"),
     ("joint-hysteresis", lambda data: without(data, "approach"), "approach1"),
     ("friction-wind-up", lambda data: without(data, "approach"), "approach1"),
     ("loaded-transmission-error", lambda data: bare(without(data, "temperature")), "torques tau1_Nm .* temperature_degC"),
     ("joint-hysteresis", lambda data: without(data, "travel"), "travel1_deg"),
-    ("thermal-growth", lambda data: without(data, "time", "temperature"), "temperature_degC .* time_s"),
-    ("housing-growth", lambda data: without(data, "time", "temperature"), "temperature_degC .* time_s"),
+    *((name, lambda data: without(data, "time", "temperature"), "temperature_degC .* time_s")
+      for name in ("thermal-growth", "housing-growth", "stand-growth")),
     ("frame-drift", lambda data: without(data, "time", "order"), "time_s"),
     ("session-frame", lambda data: without(data, "session"), "column session"),
     ("session-frame", lambda data: data.only((data.table["session"] == "tue").to_numpy()), "two sessions"),

@@ -51,7 +51,7 @@ AGAINST: dict[str, tuple[str, Callable[[Bench, int], np.ndarray]]] = {
     "base-tilt": ("", lambda bench, joint: by_rule(bench)),
     "tool-sag": ("deg", lambda bench, joint: np.rad2deg(np.arccos(-bench.still.frames.tips[-1][:, 2, 2]))),
     **dict.fromkeys(("payload-mass", "payload-com", "tool-deflection"), ("kg", LOAD)),
-    **dict.fromkeys(("thermal-growth", "housing-growth"), ("K", lambda bench, joint: bench.rows.temperature - 20)),
+    **dict.fromkeys(("thermal-growth", "housing-growth", "stand-growth"), ("K", lambda bench, joint: bench.rows.temperature - 20)),
     "frame-drift": ("h", HOURS),
     **dict.fromkeys((*STEPS, "session-frame", "tracker-scale", "marker-place", "range-noise", "geometry"),
                     ("", PLACE)),

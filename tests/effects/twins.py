@@ -205,6 +205,20 @@ def sagging_bar(bench: Bench) -> Twin:
     return Twin(made(bench, hidden.cause, shape="symmetric"), values, moved, soft=False)
 
 
+def stand(constant: float, turning: bool) -> Callable[[Bench], Twin]:
+    """The simulator's stand bends in a drawn direction, or creeps otherwise: written here."""
+    size = np.array([2e-5, -1e-5, 3e-5, 1e-5, -2e-5, 1.5e-5])[: 6 if turning else 3]
+    names = ("device.x", "device.y", "device.z", "device.rx", "device.ry", "device.rz")
+
+    def moved(point: np.ndarray, rows: Rows) -> np.ndarray:
+        grown = -np.exp(-rows.time / constant) if constant else rows.temperature - 20
+        return point + grown[:, None] * (size[:3] + (np.cross(size[3:], point) if turning else 0))
+
+    return lambda bench: Twin(
+        made(bench, "stand-growth", constant=constant, turning=turning), dict(zip(names, size, strict=False)), moved
+    )
+
+
 def drift(bench: Bench) -> Twin:
     """The simulator's size is from beginning to end."""
     hidden = Hidden("frame-drift", 0, 3e-4, seed=5)
@@ -356,6 +370,8 @@ TWINS: dict[str, Callable[[Bench], Twin]] = {
     "frame-drift, by the order of the rows": drift_by_rows,
     "frame-drift, anew in each session": drift_by_session,
     "frame-drift, wandering": wander,
+    "stand-growth, temperature": stand(0.0, turning=False),
+    "stand-growth, settling": stand(4000.0, turning=True),
     "session-frame, each session": frames_of_sessions,
     "session-frame, from a session on": frame_from_a_session_on,
     "frame-step, shifting": step("frame-step", "device"),

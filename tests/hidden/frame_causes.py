@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 SESSIONS = 4
 WARM_UP = 3600.0  # s
+CREEPS = 1200.0  # s
+STAND = 1.2  # m high
 STANDS = 1800.0  # s: between two rows
 
 
@@ -50,6 +52,16 @@ def wander(h: Hidden, robot: Robot, rows: Rows, point: Array) -> Array:
     share = rows.time / rows.time.max()
     walk = np.cos(share[:, None, None] * rate + phase).sum(axis=2)
     return point + h.size / np.sqrt(3) * (walk - walk.mean(axis=0)) / walk.std(axis=0)
+
+
+def stand_growth(h: Hidden, robot: Robot, rows: Rows, point: Array) -> Array:
+    """The device's stand bends by size [m] a kelvin where it carries the device, or with extra "settling" creeps by size.
+
+    It leans by as much over its height. What creeps does so by the logarithm of the time.
+    """
+    grown = np.log1p(rows.time / CREEPS) / np.log1p(rows.time.max() / CREEPS) if h.extra else rows.temperature - 20
+    shift, lean = h.size * h.rng.normal(size=(2, 3)) / np.sqrt(3)
+    return point + grown[:, None] * (shift + np.cross(lean / STAND, point))
 
 
 def link_growth(h: Hidden, robot: Robot, rows: Rows) -> Robot:
@@ -93,4 +105,4 @@ def warm_up(rows: Rows, at_first: float) -> Array:
 
 
 ON_ROBOT = {"link-growth": link_growth, "housing-growth": housing_growth, "warm-zero": warm_zero}
-ON_DEVICE = {"session-frame": session_frame, "wander": wander}
+ON_DEVICE = {"session-frame": session_frame, "wander": wander, "stand-growth": stand_growth}

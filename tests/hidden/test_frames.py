@@ -19,6 +19,10 @@ EVERY: dict[str, tuple[Case, str]] = {
     "session-frame": (case("serial", Hidden("session-frame", 0, 3e-4), columns=DAYS, poses=90), "each session"),
     "session-frame of one move": (case("hh800", ONE_MOVE, columns=DAYS, poses=90), "from session day 3 on"),
     "frame-drift that wanders": (case("serial", Hidden("wander", 0, 1.2e-4), columns=CLOCK), "wandering"),
+    "stand-growth of a tripod in warm air": (case("serial", Hidden("stand-growth", 0, 5e-5), columns=WARM), "temperature"),
+    "stand-growth of a foot that creeps": (
+        case("hh800", Hidden("stand-growth", 0, 4e-4, "settling"), columns=CLOCK, poses=90), "settling"
+    ),
     "thermal-growth of one link": (case("serial", Hidden("link-growth", 2, 3e-4, "warm-up"), columns=CLOCK), "link 2"),
     "housing-growth after a pause": (case("serial", WARMS, columns=CLOCK, pause=4 * 3600.0), "anew after each pause"),
     "housing-growth after a short one": (case("serial", WARMS, columns=CLOCK, pause=3600.0), "anew after each pause"),

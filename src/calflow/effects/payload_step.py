@@ -22,8 +22,7 @@ class PayloadStep(StepChange):
         "unstated change of payload", "another payload than the table says hung on the robot from there on", "change"
     )
     whole = "payloads"
-    needs = ("masses", "payload", "order")
-    taken_for = ("joint-step",)
+    needs = (*StepChange.needs, "masses", "payload")
     told_by = "weigh the payload, or measure some of the first poses again"
 
     def parameters(self) -> tuple[Parameter, ...]:

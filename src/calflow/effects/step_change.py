@@ -30,7 +30,7 @@ class StepChange(Effect):
 
     moment: float = 0.5
 
-    needs = ("order",)
+    needs: ClassVar[tuple[str, ...]] = ("order",)
     shift_sd: ClassVar[float] = 3e-4  # m
     turn_sd: ClassVar[float] = 1e-4  # rad
 

@@ -585,7 +585,7 @@ def _cooling(errors: ErrorModel, result: Fit, data: Measurements) -> ErrorModel:
     losses = []
     for cause in (effect for effect in result.model.effects if isinstance(effect, Cause)):
         warming = cause.effect
-        if isinstance(warming, Warming) and warming.constant:
+        if isinstance(warming, Warming) and warming.constant and not warming.of_measuring():
             growth, end = float(result.model.values(cause, result.estimate)[0]), float(data.table["time"].max())
             once = replace(warming, pauses=()).figures_text
             losses.append(Cooling(data.robot, cause.id, once, cause.part, growth, end))

@@ -1,0 +1,71 @@
+"""Stand growth: a measuring device whose stand moves with the temperature, or as it settles or warms up."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+import casadi as ca
+
+from calflow.effects.base import OF_THE_FRAME, Words, displaced
+from calflow.effects.warming import Warming
+from calflow.measurements.measurements import Measurements
+from calflow.robot.mechanism import Row
+from calflow.robot.parts import Parameter
+from calflow.robot.robot import Robot
+
+SHIFT_SDS, TURN_SDS = (3e-4, 2e-5), (1e-4, 1e-5)  # when settled [m, rad]; per kelvin: of a stand of steel, 2 m high
+BOUND = 100.0  # standard deviations
+
+
+@dataclass(frozen=True)
+class StandGrowth(Warming):
+    """Reported position + (x, y, z) g, and with turning + g r x position, where g is T - 20 degC or -exp(-t / constant).
+
+    The model's frame is that at 20 degC, or of the settled stand: later measurements are in it.
+    """
+
+    turning: bool = False
+
+    id = "stand-growth"
+    title = "growth of the device's stand"
+    words = Words(
+        "growth of the device's stand", "the device's stand, or the robot's foot, follows the temperature, or settles"
+    )
+    readable = {"m/K": (1e6, "µm per °C"), "rad/K": (1e6, "µrad per °C")}
+    whole = "device"
+    family = OF_THE_FRAME
+    told_by = "measure points fixed to the floor from time to time"
+
+    @classmethod
+    def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
+        """Return growth with the temperature or with a grid of time constants, without and with rotation."""
+        shifting = super().variants(robot, data)
+        return (*shifting, *(replace(growth, turning=True) for growth in shifting))
+
+    @property
+    def detail(self) -> str:
+        """What it grows with, and whether it rotates."""
+        return f"{super().detail.replace('warming up', 'settling')}{', turned too' if self.turning else ''}"
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return the shift, and the rotation."""
+        per, form = ("", 0) if self.constant else ("/K", 1)
+        kinds = [("", "m", SHIFT_SDS[form], "shift along"), ("r", "rad", TURN_SDS[form], "turn about")]
+        return tuple(
+            Parameter(self.id, "device", f"{symbol}{axis}{ending}", unit + per, sd, -BOUND * sd, BOUND * sd,
+                      meaning=f"{meaning} {axis}")
+            for symbol, unit, sd, meaning in kinds[: 2 if self.turning else 1] for axis in "xyz" for ending in self.symbols
+        )  # fmt: skip
+
+    def size(self, p: ca.SX) -> ca.SX:
+        """Return the shift alone, without that at first."""
+        return super(Warming, self).size(p[:: len(self.symbols)][:3])
+
+    def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
+        """Return the point, displaced."""
+        grown = self.warmth(p, row)
+        if not grown.nnz():
+            return point
+        settled = p[:: len(self.symbols)] if self.constant else 0
+        return point + displaced(grown - settled, point)
