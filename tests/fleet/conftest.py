@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from conftest import Folder
-from fleet.plant import Plant, broken, built
+from fleet.plant import KILLED, Plant, befalls, broken, built
 
 
 @pytest.fixture
@@ -17,9 +17,14 @@ def plant(_measured: Folder, tmp_path, monkeypatch) -> Plant:
 
 @pytest.fixture(scope="module")
 def ran(_measured: Folder, tmp_path_factory) -> tuple[Plant, object]:
-    """A plant whose robot B-2 has a misspelt column, run once; and what the command said. Tests leave it as it is."""
+    """A plant whose robot B-2 has a misspelt column, run once; and what the command said. Tests leave it as it is.
+
+    The first process that calibrates C-3 is killed.
+    """
     with pytest.MonkeyPatch.context() as patch:
         patch.delenv("CALFLOW_DATA", raising=False)
         plant = built(tmp_path_factory.mktemp("ran") / "plant", _measured / "measurements.csv")
         broken(plant, "B-2")
+        once = f"""if open(os.environ["BEFALLEN"]).read().count(" ") == 1: {KILLED}"""
+        befalls(once, "C-3", patch, plant / "befalls")
         return plant, plant.fleet("run", "--cores", 2)

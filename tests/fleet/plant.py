@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+
+import pytest
 
 from calflow.files.problems import InputError
 from calflow.fleet.calibration import calibrate
@@ -91,6 +94,27 @@ def mended(plant: Plant, robot: str) -> None:
     """Spell the column right."""
     path = plant.measurements(robot)
     path.write_text(path.read_text(encoding="utf-8").replace("y_mmm", "y_mm", 1), encoding="utf-8")
+
+
+BEFALLS = """\
+import sys
+if {"calibrate", "ROBOT"} <= set(sys.orig_argv):
+    import os, signal, time
+    with open(os.environ["BEFALLEN"], "a") as told:
+        told.write(f"{os.getpid()} ")
+    WHAT
+"""
+KILLED = "os.kill(os.getpid(), signal.SIGKILL)"
+
+
+def befalls(what: str, robot: str, patch: pytest.MonkeyPatch, folder: Path) -> Path:
+    """Have something befall every process that calibrates a robot; return the file that has their ids."""
+    folder.mkdir()
+    source = BEFALLS.replace("WHAT", what).replace("ROBOT", robot)
+    (folder / "sitecustomize.py").write_text(source, encoding="utf-8")
+    patch.setenv("PYTHONPATH", os.pathsep.join((str(folder), os.environ.get("PYTHONPATH", ""))))
+    patch.setenv("BEFALLEN", str(folder / "ids"))
+    return folder / "ids"
 
 
 def calibrated(fleet: Fleet, folder: FleetFolder, robots: Iterable[str]) -> dict[str, Outcome]:

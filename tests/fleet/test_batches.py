@@ -7,7 +7,7 @@ import shutil
 
 from calflow.fleet.engine import FleetFolder
 from calflow.fleet.standing import read_outcome
-from fleet.plant import ROBOTS
+from fleet.plant import FLEET, ROBOTS, Plant
 
 # An executor plugin of Snakemake's, as a cluster has one: it writes down how many robots each job has, and runs it here.
 EXECUTOR = """\
@@ -45,17 +45,28 @@ class Executor(RemoteExecutor):
 """
 
 
-def test_a_cluster_is_given_so_many_robots_as_one_job(plant, monkeypatch, tmp_path):
-    """Fails if `--batch` does not come to a cluster, gives it a job a robot, or loses a robot of a job."""
+def test_a_cluster_is_given_so_many_robots_as_one_job_wherever_they_lie(plant, monkeypatch, tmp_path):
+    """Fails if `--batch` does not come to a cluster, gives it a job a robot, or loses a robot of a job.
+
+    Nor may jobs fail to learn that data elsewhere are allowed, or Snakemake take braces in a folder's name for a wildcard.
+    """
     site = tmp_path / "site" / "snakemake_executor_plugin_toy"
     site.mkdir(parents=True)
     (site / "__init__.py").write_text(EXECUTOR, encoding="utf-8")
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join((str(site.parent), os.environ.get("PYTHONPATH", ""))))
     monkeypatch.setenv("SUBMITTED", str(tmp_path / "submitted"))
-    shutil.rmtree(plant.measurements("C-3").parent)
+    hall, elsewhere = Plant(plant.path.rename(tmp_path / "hall {north}")), tmp_path / "else {where}"
+    shutil.rmtree(hall.measurements("C-3").parent)
+    shutil.move(hall / "data", elsewhere)
+    hall.file.write_text(FLEET.replace("data/", f"{elsewhere}/"), encoding="utf-8")
+    for command in ("plan", "run", "report"):
+        answer = hall.fleet(command)
+        assert (answer.code, hall.out.exists()) == (2, False)
+        assert "--allow" in answer.err
     options = ("--executor", "toy", "--jobs", 2, "--seconds-between-status-checks", 1)
-    answer = plant.fleet("run", "--batch", 2, "--", *options)
-    assert answer.code == 0, (plant.out / "snakemake.log").read_text()
+    answer = hall.fleet("run", "--batch", 2, "--allow", elsewhere, "--", *options)
+    assert answer.code == 0, (hall.out / "snakemake.log").read_text()
     assert (tmp_path / "submitted").read_text().split() == ["2"]
-    folder = FleetFolder(plant.out)
+    folder = FleetFolder(hall.out)
     assert [read_outcome(folder.outcome(name)).status for name in ROBOTS[:2]] == ["calibrated"] * 2
+    assert hall.fleet("status", "--allow", elsewhere).out.startswith("2 of 2 robots calibrated")

@@ -6,7 +6,7 @@ import shutil
 
 import pytest
 
-from fleet.plant import FLEET, ROBOTS, Plant
+from fleet.plant import FLEET, Plant
 
 
 def refused(plant: Plant, *options: object) -> str:
@@ -73,20 +73,6 @@ def test_a_types_name_is_a_name(plant, name):
     """Fails if a type is called as a path is, and what is known of it is written there."""
     plant.file.write_text(FLEET.replace("[types.small]", f"[types.'{name}']"), encoding="utf-8")
     assert "expected letters, digits" in refused(plant)
-
-
-def test_a_user_may_allow_a_folder_and_braces_in_a_name_mean_nothing(plant, tmp_path):
-    """Fails if data elsewhere cannot be used, jobs do not learn what is allowed, or Snakemake takes a name for a wildcard."""
-    hall, elsewhere = Plant(plant.path.rename(tmp_path / "hall {north}")), tmp_path / "else {where}"
-    for robot in ROBOTS[1:]:  # one is enough to see whether a job finds its files
-        shutil.rmtree(hall.measurements(robot).parent)
-    shutil.move(hall / "data", elsewhere)
-    hall.file.write_text(FLEET.replace("data/", f"{elsewhere}/"), encoding="utf-8")
-    assert "--allow" in refused(hall)
-    answer = hall.fleet("run", "--cores", 2, "--allow", elsewhere)
-    assert answer.code == 0, answer
-    assert "1 of 1 robot calibrated" in answer.out
-    assert hall.fleet("status", "--allow", elsewhere).out.startswith("1 of 1 robot calibrated")
 
 
 def test_a_link_in_a_fleets_folder_is_not_written_through(plant, tmp_path):
