@@ -16,6 +16,7 @@ from calflow.estimation.smooth_functions import Later
 from calflow.files.problems import InputError
 from calflow.measurements.measurements import Measurements
 from calflow.model import build
+from calflow.reporting.sections.validity import then_and_later
 from estimation.data import calibration
 from robots import poses, ur10
 
@@ -80,6 +81,8 @@ def test_a_validation_promises_what_the_device_wanders_by_at_its_hour():
 
     then, later = promised(np.arange(40.0)), promised(np.full(40, 39.0 + 100 * 39.0))
     assert later**2 - then**2 == pytest.approx(3 * 100 * 0.02**2, rel=1e-6)
+    reported = dict(then_and_later(known, data))
+    assert reported["a day later"] ** 2 - then**2 == pytest.approx(3 * 86400 / 39 * 0.02**2, rel=1e-2)
 
 
 def test_a_validation_names_no_option_that_it_has_not():

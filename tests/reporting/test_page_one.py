@@ -16,6 +16,7 @@ from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.estimation.certainty import Certainty
 from calflow.estimation.identifiability import scale_words
 from calflow.files.tables import from_document
+from calflow.reporting.sections import verdict
 from calflow.reporting.sections.verdict import VERDICT_SECTION, next_steps
 from calflow.reporting.sections.verdict import tested_words as words_of
 from calflow.reporting.style import style
@@ -85,6 +86,17 @@ def test_what_cannot_be_told_is_short(small: Context, wholly: bool) -> None:
     said = (scale_words(wholly), replace(summary, noise_sources=("estimated",)).unseen)
     assert all(said)
     assert unreadable(said) == []
+
+
+@pytest.mark.parametrize(("later", "said"), [(0.09, True), (0.06, False)])
+def test_a_calibration_that_will_not_last_says_so(small: Context, monkeypatch, later: float, said: bool) -> None:
+    """Fails if page one is silent where the error promised a day later is much larger, or speaks of it where it is not."""
+    monkeypatch.setattr(verdict, "then_and_later", lambda *_: [("then", 0.05), ("a day later", later)])
+    given = with_diagnosis(small)
+    shown = page_one(report_material(given.study, given.results, given.run_folder))
+    sentences = [text for text in shown if text.startswith("When: the promised error grows from 0.050 to 0.090 mm")]
+    assert len(sentences) == said
+    assert unreadable(shown) == []
 
 
 def test_a_good_calibration_is_to_be_used_before_anything_else(small: Context) -> None:

@@ -28,7 +28,7 @@ from calflow.reporting.section import Section
 from calflow.reporting.style import crowded, panels, root_mean_square, shade, shades
 
 DRAWN_POSES = 600  # drawn within the joints' limits, or in a region
-LATER = {"an hour": 3600.0, "a day": 86400.0}  # s, after the measurement
+LATER = {"an hour later": 3600.0, "a day later": 86400.0}  # s, after the measurement
 MEASURED, STATED = "that were measured", "in the study's region"
 CAPTION = (
     "Expected error at {poses} drawn at random within the joints' limits (root mean square): the darker, the larger; from the "
@@ -117,17 +117,18 @@ def _promised_at(calibrated: CalibratedModel, conditions: np.ndarray, outside: n
     return Promised(expected_point(calibrated, conditions), error, moved, outside, where)
 
 
-def later_words(calibrated: CalibratedModel, data: Measurements) -> str:
-    """Return a sentence on the expected errors at the measured poses later on; empty where no time is known."""
-    rows = data.only(data.train)
+def then_and_later(calibrated: CalibratedModel, data: Measurements) -> list[tuple[str, float]]:
+    """Return the expected error [mm] at the measured poses when they were measured, and later; empty where no time is known."""
     if "time" not in calibrated.model.given:
-        return ""
-    rows = rows.stating(calibrated.model.given)
+        return []
+    rows = data.only(data.train).stating(calibrated.model.given)
     end = float(rows.table["time"].max())
-    moments = [replace(rows, table=rows.table.assign(time=end + seconds)) for seconds in LATER.values()]
-    then, *later = (rms_mm(promised_distance(calibrated, moment.conditions)) for moment in (rows, *moments))
-    words = ", ".join(f"{error} mm {name} later" for name, error in zip(LATER, later, strict=True))
-    return f"At the measured poses: {then} mm then, {words}, in the instrument's frame."
+    moments = {
+        "then": rows,
+        **{when: replace(rows, table=rows.table.assign(time=end + seconds)) for when, seconds in LATER.items()},
+    }
+    errors = {when: promised_distance(calibrated, moment.conditions) for when, moment in moments.items()}
+    return [(when, 1e3 * root_mean_square(error)) for when, error in errors.items()]
 
 
 def from_the_side(material: Material, place: np.ndarray) -> np.ndarray:
@@ -209,11 +210,11 @@ def _region(material: Material) -> list[Block]:
 def _validity(material: Material) -> list[Block]:
     """State and draw the expected errors within the joints' limits, and state those later on."""
     shown = Promised.of(material.calibrated, material.data)
-    later = later_words(material.calibrated, material.data)
+    moments = ", ".join(f"{mm(error)} mm {when}" for when, error in then_and_later(material.calibrated, material.data))
     caption = CAPTION.format(poses=plural(len(shown.place), "pose"))
     return [
         Paragraph(shown.words, keep=True),
-        *([Paragraph(later)] if later else []),
+        *([Paragraph(f"At the measured poses: {moments}, in the instrument's frame.")] if moments else []),
         Plot("validity", over_the_workspace(material, shown), caption, as_rows(shown)),
     ]
 

@@ -48,6 +48,7 @@ from calflow.reporting.sections.acceptance import (
     verdict_card,
 )
 from calflow.reporting.sections.task import answer
+from calflow.reporting.sections.validity import promises, then_and_later
 from calflow.reporting.style import ACCENT, DARK, LIGHT, figure, mark_floor
 
 NOISE_UNKNOWN = "its noise is not known, so its share of the error is not known either"
@@ -61,6 +62,7 @@ CAPPED = (
 FITTED = "used for the fit (none were held out)"
 LEFT_OPEN, CAUSES_LISTED = 6, 4  # open questions and causes on the first page
 RARE = 0.05  # p-value below which chance is unlikely
+LASTING = 1.5  # growth of the promised error within a day up to which the first page does not state it
 EVEN = 0.5  # p-value above which it is not reported
 CORRECTED = (
     "Corrected commands: calflow changes each target of the robot's program so that the tool reaches the programmed place. The "
@@ -149,7 +151,16 @@ def how_sure(material: Material) -> list[tuple[str, str]]:
     sentences = [("Errors:", f"measured {of_poses}.{each}"), ("Instrument:", f"{alone}.")]
     no_gain = f" {no_gain_words(material.no_gain, 'that were measured')}"
     where = [("Where:", where_words(certainty) + no_gain.rstrip())] if certainty.reach_m else []
-    return [*where, *sentences, ("Tested:", tested_words(certainty))]
+    return [*where, *sentences, ("Tested:", tested_words(certainty)), *_when(material)]
+
+
+def _when(material: Material) -> list[tuple[str, str]]:
+    """Return a sentence on the errors a day later, if the calibration does not promise to hold so long."""
+    if not promises(material) or not (moments := then_and_later(material.calibrated, material.data)):
+        return []
+    (_, then), *_, (day, later) = moments
+    promised = f"the promised error grows from {mm(then)} to {mm(later)} mm {day}, as device or robot may change."
+    return [("When:", promised)] if later > LASTING * then else []
 
 
 def where_words(certainty: Certainty) -> str:
