@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
-from typing import ClassVar, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -25,7 +25,7 @@ from calflow.robot.robot import Robot
 
 ROWS = 256  # rows whose columns are evaluated at once
 
-Parts = TypeVar("Parts", bound=Dimensions | Loads | Deflection | State)
+Parts = TypeVar("Parts")  # a quantity, or a data class or tuple of such
 
 
 @dataclass(frozen=True)
@@ -42,64 +42,53 @@ class Inner:
     reported: ca.SX
     target: ca.SX
 
-    @property
-    def packed(self) -> ca.SX:
-        """All quantities, stacked in one column."""
-        points = ca.vertcat(self.reported, self.target)
-        return ca.vertcat(_packed(self.dims), _packed(self.loads), self.torque, _packed(self.deflection), points)
-
     @staticmethod
-    def unpacked(robot: Robot, column: ca.SX) -> Inner:
-        """Return the quantities from a stacked column."""
+    def still(robot: Robot) -> Inner:
+        """Return the nominal quantities without loads, the points at zero."""
         n = robot.n_joints
-        shapes = (nominal_dimensions(robot), nominal_loads(robot), Deflection.zero(n))
-        sizes = [_packed(shape).numel() for shape in shapes]
-        ends = [0, *np.cumsum([*sizes[:2], n, sizes[2], 3, 3]).tolist()]
-        dims, loads, torque, moves, *points = ca.vertsplit(column, ends)
-        return Inner(_like(shapes[0], dims), _like(shapes[1], loads), torque, _like(shapes[2], moves), *points)
-
-    @staticmethod
-    def width(robot: Robot) -> int:
-        """Return the length of the stacked column."""
-        nothing, point = ca.SX(robot.n_joints, 1), ca.SX(3, 1)
-        still = Deflection.zero(robot.n_joints)
-        return int(Inner(nominal_dimensions(robot), nominal_loads(robot), nothing, still, point, point).packed.numel())
+        dims, loads = nominal_dimensions(robot), nominal_loads(robot)
+        return Inner(dims, loads, ca.SX(n, 1), Deflection.zero(n), ca.SX(3, 1), ca.SX(3, 1))
 
 
 @dataclass(frozen=True)
 class Levers(Effect):
-    """An effect with one parameter per inner quantity, in the order of `Inner.packed`, which is added to that quantity."""
+    """An effect with one parameter per inner quantity, in the order in which they are packed, which is added to it."""
 
     id: ClassVar[str] = "levers"
     title: ClassVar[str] = "inner quantities"
 
+    def _added(self, p: ca.SX) -> Inner:
+        return _unpacked(Inner.still(self.robot), p)
+
     def parameters(self) -> tuple[Parameter, ...]:
         """Return one parameter per quantity."""
-        return tuple(Parameter(self.id, str(k), "", "1", 1.0, -1.0, 1.0) for k in range(Inner.width(self.robot)))
+        return tuple(
+            Parameter(self.id, str(k), "", "1", 1.0, -1.0, 1.0) for k in range(_width(Inner.still(self.robot)))
+        )
 
     def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
         """Add to the dimensions."""
-        return _sum(dims, Inner.unpacked(self.robot, p).dims)
+        return _unpacked(dims, _packed(dims) + _packed(self._added(p).dims))
 
     def loads(self, p: ca.SX, loads: Loads, row: Row) -> Loads:
         """Add to the masses."""
-        return _sum(loads, Inner.unpacked(self.robot, p).loads)
+        return _unpacked(loads, _packed(loads) + _packed(self._added(p).loads))
 
     def torque(self, p: ca.SX, state: State, row: Row) -> ca.SX | float:
         """Add to the torques."""
-        return Inner.unpacked(self.robot, p).torque
+        return self._added(p).torque
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
         """Move joints, bearings and link ends."""
-        return Inner.unpacked(self.robot, p).deflection
+        return self._added(p).deflection
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
         """Add to the reported point."""
-        return point + Inner.unpacked(self.robot, p).reported
+        return point + self._added(p).reported
 
     def target(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
         """Move a target's point."""
-        return point + Inner.unpacked(self.robot, p).target
+        return point + self._added(p).target
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +137,7 @@ class Probe:
         pairs = zip(problem.blocks, moved.blocks, strict=True)
         graphs = tuple(graph for block, with_levers in pairs if (graph := _graph(block, with_levers)))
         if len(graphs) == len(problem.blocks):
-            return Probe(problem, np.append(p, np.zeros(Inner.width(model.robot))), graphs, tuple(bases), width)
+            return Probe(problem, np.append(p, np.zeros(_width(Inner.still(model.robot)))), graphs, tuple(bases), width)
         large = replace(model, probes=tuple(effects))
         graphs = tuple(block.graph for block in problem.on(large).blocks)
         return Probe(problem, np.append(p, large.nominal[len(p) :]), graphs, (), width)
@@ -257,10 +246,8 @@ def _with_levers(block: SeriesBlock) -> ca.Function | None:
     if max(map(len, asked)) > 1:
         return None
     p, _, predicted = block.model.symbols
-    state = ca.vertcat(
-        *(_packed(predicted.dims), _packed(predicted.loads), _packed(predicted.state)),
-        *(points[0] if points else ca.SX(3, 1) for points in asked),
-    )
+    points = (seen[0] if seen else ca.SX(3, 1) for seen in asked)
+    state = _packed((predicted.dims, predicted.loads, predicted.state, *points))
     residual, state = ca.cse([residual, state])  # a third of the operations are duplicates
     outputs = [residual, ca.jacobian(residual, p).T, state]
     (probe,) = block.model.probes
@@ -273,62 +260,59 @@ def _with_levers(block: SeriesBlock) -> ca.Function | None:
 def _basis(effects: tuple[Effect, ...], given: tuple[str, ...]) -> Basis:
     """Return the derivatives of the inner quantities by the parameters of effects, at nominal values."""
     robot = effects[0].robot
-    n = robot.n_joints
-    shapes = (nominal_dimensions(robot), nominal_loads(robot), State.symbols(robot))
-    sizes = [_packed(shape).numel() for shape in shapes]
-    symbols = ca.SX.sym("state", sum(sizes) + 6)
+    still = Inner.still(robot)
+    shape = (still.dims, still.loads, State.symbols(robot), still.reported, still.target)
+    symbols = ca.SX.sym("state", _width(shape))
     c = ca.SX.sym("c", sum(Row.sizes(robot, given).values()))
-    ends = [0, *np.cumsum([*sizes, 3, 3]).tolist()]
-    *parts, point, seen_target = ca.vertsplit(symbols, ends)
-    dims, loads, state = _like(shapes[0], parts[0]), _like(shapes[1], parts[1]), _like(shapes[2], parts[2])
-    row, still = Row.unpack(robot, c, given), Deflection.zero(n)
-    moved = Inner(dims, loads, ca.SX(n, 1), still, point, seen_target)
+    dims, loads, state, point, target = _unpacked(shape, symbols)
+    row, before = Row.unpack(robot, c, given), Inner(dims, loads, still.torque, still.deflection, point, target)
+    moved = ca.SX(_width(before), 1)
     start = np.cumsum([0, *(len(effect.declared) for effect in effects)])
     every = ca.SX.sym("p", int(start[-1]))
     for effect, p in zip(effects, ca.vertsplit(every, start.tolist()), strict=True):
-        torque = effect.torque(p, state, row)
-        report, there = effect.device(p, point, row), effect.target(p, seen_target, row)
-        moved = Inner(
-            _with_change(moved.dims, effect.dimensions(p, dims, row), dims),
-            _with_change(moved.loads, effect.loads(p, loads, row), loads),
-            moved.torque + torque if isinstance(torque, ca.SX) else moved.torque,
-            _with_change(moved.deflection, effect.deflection(p, state, row, still), still),
-            moved.reported if report is point else moved.reported + (report - point),
-            moved.target if there is seen_target else moved.target + (there - seen_target),
+        after = Inner(
+            effect.dimensions(p, dims, row),
+            effect.loads(p, loads, row),
+            still.torque + effect.torque(p, state, row),
+            effect.deflection(p, state, row, still.deflection),
+            effect.device(p, point, row),
+            effect.target(p, target, row),
         )
+        moved += _change(after, before)
     nominal = ca.SX(ca.DM([parameter.nominal for effect in effects for parameter in effect.declared]))
-    slope = ca.sparsify(ca.substitute(ca.jacobian(moved.packed, every), every, nominal))
+    slope = ca.sparsify(ca.substitute(ca.jacobian(moved, every), every, nominal))
     quantity, column = (np.array(which, dtype=int) for which in slope.sparsity().get_triplet())
     function = ca.Function("basis", [ca.SX.sym("p", 0), symbols, c], [ca.densify(slope.nz[:])])
     return Basis(function, quantity, column)
 
 
-def _with_change(parts: Parts, after: Parts, before: Parts) -> Parts:
-    """Return parts plus the change from before to after, field by field; most effects change few fields."""
+def _members(parts: Any) -> list[Any]:
+    return list(parts) if isinstance(parts, tuple) else [getattr(parts, field.name) for field in fields(parts)]
+
+
+def _packed(parts: Any) -> ca.SX:
+    """Return all quantities of parts, stacked in one column."""
+    return ca.densify(ca.vec(parts)) if isinstance(parts, ca.SX) else ca.vertcat(*map(_packed, _members(parts)))
+
+
+def _width(parts: Any) -> int:
+    return int(parts.numel()) if isinstance(parts, ca.SX) else sum(map(_width, _members(parts)))
+
+
+def _change(after: Any, before: Any) -> ca.SX:
+    """Return the change of all quantities, stacked; most effects leave most of them as they are."""
     if after is before:
-        return parts
-    changed = {field.name: getattr(parts, field.name) + getattr(after, field.name) - getattr(before, field.name)
-               for field in fields(parts) if getattr(after, field.name) is not getattr(before, field.name)}  # fmt: skip
-    return replace(parts, **changed)
+        return ca.SX(_width(before), 1)
+    if isinstance(before, ca.SX):
+        return ca.vec(after - before)
+    return ca.vertcat(*map(_change, _members(after), _members(before)))
 
 
-def _packed(parts: Parts) -> ca.SX:
-    return ca.densify(ca.vertcat(*(ca.vec(getattr(parts, field.name)) for field in fields(parts))))
-
-
-def _like(shape: Parts, column: ca.SX) -> Parts:
-    """Return the object with the fields and sizes of shape from a stacked column."""
-    sizes = [getattr(shape, field.name).shape for field in fields(shape)]
-    columns = ca.vertsplit(column, [0, *np.cumsum([rows * columns for rows, columns in sizes]).tolist()])
-    return replace(
-        shape,
-        **{
-            field.name: ca.reshape(part, *size) for field, part, size in zip(fields(shape), columns, sizes, strict=True)
-        },  # type: ignore[arg-type]
-    )
-
-
-def _sum(first: Parts, other: Parts) -> Parts:
-    return replace(
-        first, **{part.name: getattr(first, part.name) + getattr(other, part.name) for part in fields(first)}
-    )
+def _unpacked(shape: Parts, column: ca.SX) -> Parts:
+    """Return parts of the same shape from a stacked column."""
+    if isinstance(shape, ca.SX):
+        return ca.reshape(column, *shape.shape)  # type: ignore[return-value]
+    members = _members(shape)
+    ends = np.cumsum([0, *map(_width, members)]).tolist()
+    parts = map(_unpacked, members, ca.vertsplit(column, ends))
+    return type(shape)(parts) if isinstance(shape, tuple) else type(shape)(*parts)
