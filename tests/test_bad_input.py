@@ -113,6 +113,8 @@ CELLS = {
                             [f"{line}: split: one pose is in train" for line in (2, 3)]),
     "huge": (put("y_mm", 3, "1e300"), ["5: column 'y_mm': expected at most 1e+06 m"]),
     "huge angle": (put("q1_deg", 3, "-1e300"), ["5: column 'q1_deg': expected at most 1e+07 rad"]),
+    "no temperature": (lambda rows: put("temperature_degC", 3, "-999")(rows.assign(temperature_degC="21.5")),
+                       ["5: temperature: expected -60 to 150 °C; is it in another unit, or a sign for no value?"]),
     "hardly any sigma": (put("sigma_mm", 3, "1e-300"), ["5: sigma: expected a positive standard deviation"]),
     "long text": (put("x_mm", 3, "9" + "x" * 100_000), [f"5: column 'x_mm': expected a number, found '9{'x' * 59} …'"]),
     "long name": (put("payload", 3, "p" * 100_000), ["5: unknown payload 'ppp"]),

@@ -224,4 +224,5 @@ def test_the_known_columns_are_those_that_are_read(small, read):
         if name.startswith(("time", "temp", "tau", "appr"))
     ]
     assert len(extra) == 8
-    assert read(rows.assign(**dict.fromkeys(extra, 1))).given == ("approach", "torque", "time", "temperature", "order")
+    given = dict.fromkeys(extra, 1) | {"temperature_K": 293}
+    assert read(rows.assign(**given)).given == ("approach", "torque", "time", "temperature", "order")

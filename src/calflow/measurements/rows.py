@@ -34,6 +34,7 @@ from calflow.robot.mechanism import BY_JOINT
 from calflow.robot.robot import Robot
 
 LABELS = ("pose", "repeat", "marker", "payload", "session", "split")
+AMBIENT = (213.15, 423.15)  # K: temperatures at which robots are measured
 BLOCKS = ("payload", "session")  # strata within which poses are held out and resampled
 POSITION = ("x", "y", "z")
 ANGLES, QUATERNION = ("rx", "ry", "rz"), ("qw", "qx", "qy", "qz")
@@ -320,6 +321,10 @@ def _figures(table: pd.DataFrame, robot: Robot, path: Path | None) -> list[Probl
         if name in table:
             wrong = table[name] < LEAST_SIGMA
             problems += at_rows(wrong, table, path, f"{name}: expected a positive standard deviation")
+    if "temperature" in table:
+        wild = ~table["temperature"].between(*AMBIENT) & table["temperature"].notna()
+        expected = "expected -60 to 150 °C; is it in another unit, or a sign for no value?"
+        problems += at_rows(wild, table, path, f"temperature: {expected}")
     if "qw" in table:
         norm = np.linalg.norm(table[[*QUATERNION]], axis=1)
         problems += at_rows(np.abs(norm - 1) > 0.01, table, path, "qw, qx, qy, qz: expected a quaternion of norm 1")
