@@ -174,28 +174,6 @@ class _Block:
         return np.asarray(np.linalg.inv(self.information + prior))
 
 
-@dataclass(frozen=True)
-class _Contest:
-    """Groups of a block's members with the same place and degrees of freedom, in which the largest drop has the smallest p.
-
-    order (n_members,) sorts the members by group, first (n_groups,) is each group's start, place (n_groups,) the index of its
-    place, degrees_of_freedom (n_groups,) that of its members.
-    """
-
-    order: np.ndarray
-    first: np.ndarray
-    place: np.ndarray
-    degrees_of_freedom: np.ndarray
-
-    @staticmethod
-    def of(block: _Block, places: Sequence[int]) -> _Contest:
-        """Group the members of a block by the indices of their places."""
-        keys = np.column_stack([places, block.degrees_of_freedom])
-        order = np.lexsort(keys.T)
-        first = np.flatnonzero(np.diff(keys[order], axis=0, prepend=-1).any(axis=1))
-        return _Contest(order, first, *keys[order][first].T)
-
-
 @dataclass(frozen=True, eq=False)
 class _Evaluated:
     """A block's candidates evaluated for draws of their scores, (n_members, n_draws) each.
@@ -413,21 +391,22 @@ class Screening(Generic[H]):
         size = settled / np.sqrt(np.maximum(1 - leverage, 0.05))
         places = list(dict.fromkeys(r.candidates[m].cause.place for block in self._blocks for m in block.members))
         number = {place: k for k, place in enumerate(places)}
-        contests = [
-            _Contest.of(block, [number[r.candidates[m].cause.place] for m in block.members]) for block in self._blocks
-        ]
         drawn = [_drawn(rng, n, r.precision, count) for count in np.diff([*range(0, DRAWS, DRAWN_AT_ONCE), DRAWS])]
         signs, pseudo = (np.hstack(part) for part in zip(*drawn, strict=True))
         score, chi2 = self.settled(signs, pseudo, size)
         smallest = np.ones((len(places), DRAWS))
-        for start in range(0, DRAWS, DRAWN_AT_ONCE):
-            part = slice(start, start + DRAWN_AT_ONCE)
-            for block, contest in zip(self._blocks, contests, strict=True):
+        for block in self._blocks:
+            # Of a place's variants with equal degrees of freedom, the one with the largest drop has the smallest p-value.
+            keys = np.array([[number[r.candidates[m].cause.place] for m in block.members], block.degrees_of_freedom])
+            order = np.lexsort(keys)
+            first = np.flatnonzero(np.diff(keys[:, order], axis=1, prepend=-1).any(axis=0))
+            place, spent = keys[:, order[first]]
+            for start in range(0, DRAWS, DRAWN_AT_ONCE):
+                part = slice(start, start + DRAWN_AT_ONCE)
                 whitened = np.einsum("mij,mjk->mik", block.roots, score[block.columns, part])
-                drops = (whitened**2).sum(axis=1)[contest.order]
-                largest = np.maximum.reduceat(drops, contest.first, axis=0)
-                p = f_test(largest, chi2[part], contest.degrees_of_freedom, n)  # priors are drawn too: nothing is lost
-                np.minimum.at(smallest[:, part], contest.place, p)
+                largest = np.maximum.reduceat((whitened**2).sum(axis=1)[order], first, axis=0)
+                p = f_test(largest, chi2[part], spent, n)  # priors are drawn too: nothing is lost
+                np.minimum.at(smallest[:, part], place, p)
         scans = np.array([worth(row) for row in smallest])
         adjusted = -np.expm1(scans[:, None] * np.log1p(-np.minimum(smallest, 1 - 1e-16)))
         tests = worth(adjusted.min(axis=0)) if places else 1.0
