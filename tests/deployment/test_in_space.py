@@ -16,9 +16,7 @@ from calflow.observations.camera import LEAST_SQUARES, Camera, Eye
 from calflow.observations.hand_eye_methods import METHODS
 from calflow.robot.frames import placement_matrix
 from observations.photographed import BESIDE, IN_GRIPPER, PANDA, UR5E, board, photographed
-from observations.test_camera import COLUMNS, seen_from_nowhere, study
-
-COARSE = board(4, 3, 0.07)  # as large as the usual one, of a quarter of its points
+from observations.test_camera import COARSE, COLUMNS, seen_from_nowhere, study
 
 
 @pytest.mark.parametrize(("arm", "in_hand"), [(UR5E, True), (PANDA, False)])

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import os
 import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +20,7 @@ from hidden.simulator import Array, Frames, Robot, Rows, equilibrium, read, tool
 from plugin import install
 
 COMPLIANCE = (2e-6, 2e-6, 3e-6)  # rad/Nm
+ALIKE = ("joint-eccentricity", "periodic-joint-error", "joint-error-map")  # an eccentricity, and what may pass for one
 LIMITS = np.deg2rad([[-170, 170], [-100, 40], [-20, 140]])
 
 
@@ -47,9 +50,18 @@ def simulated(poses: int, seed: int, *hidden: Hidden) -> Simulated:
 
 
 def study(
-    folder: Folder, site: Path, kind: type[Any], made: Simulated, values: pd.DataFrame, settings: str
+    folder: Folder,
+    site: Path,
+    kind: type[Any],
+    made: Simulated,
+    values: pd.DataFrame,
+    settings: str,
+    causes: Sequence[str] = (),
 ) -> dict[str, str]:
-    """Write a study of these values (in the order of the rows), its kind installed as a package; return the environment."""
+    """Write a study of these values (in the order of the rows), its kind installed as a package; return the environment.
+
+    It looks for these causes, or for all.
+    """
     source = Path(__file__).parent / f"{kind.__module__.rpartition('.')[2]}.py"
     module = f"another_{source.stem}"
     install(
@@ -65,7 +77,7 @@ def study(
     folder.edit(
         "study.toml",
         ('file = "measurements.csv"\n', f'file = "measurements.csv"\nkind = "{kind.id}"\n{settings}'),
-        ("poses = 8\n", "poses = 12\n"),
+        ("poses = 8\n", f"poses = 12\n\n[stages.diagnose]\ncatalogue = {json.dumps(list(causes))}\n"),
     )
     folder.edit("quick.toml", ('"identify", "sample"]', '"identify", "diagnose", "sample", "report"]'))
     path = os.pathsep.join(filter(None, (str(site), os.environ.get("PYTHONPATH"))))

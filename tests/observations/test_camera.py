@@ -28,6 +28,7 @@ from calflow.templates import library_file
 from observations.graph import through_json
 from observations.photographed import PANDA, SIZE, UR5E, Arm, Optics, Photographs, board, frame, photographed
 
+COARSE = board(4, 3, 0.07)  # as large as the usual one, of a quarter of its points
 COLUMNS = ["px_x", "px_y", "px_z"]
 SETTINGS = """
 kind = "camera"
@@ -271,7 +272,7 @@ def errors_in_sd(fit: Fit, made: Photographs, arm: Arm) -> np.ndarray:
 @pytest.mark.parametrize(("arm", "robot", "in_hand"), [(UR5E, "ur5e", True), (PANDA, "franka-panda", False)])
 def test_photographs_alone_calibrate_an_arm(tmp_path, arm, robot, in_hand):
     """Fails if geometry and lens are not found to what their standard deviations promise, or the noise is another."""
-    made = photographed(arm, in_hand, 40, np.random.default_rng(1))
+    made = photographed(arm, in_hand, 40, np.random.default_rng(1), points=COARSE)
     data = study(tmp_path, made, robot, in_hand).measurements()
     found = fit_effects(data, ["geometry"], starts=1)
     missed = errors_in_sd(found.fit, made, arm)
@@ -293,7 +294,7 @@ def test_what_an_image_errs_by_as_a_whole_is_counted_once(tmp_path):
 
     rng = np.random.default_rng(5)
     worn = UR5E.worn(rng)
-    made = photographed(UR5E, True, 50, rng, worn=Loose(worn.figures, False, UR5E.limits))
+    made = photographed(UR5E, True, 50, rng, points=COARSE, worn=Loose(worn.figures, False, UR5E.limits))
     data = study(tmp_path, made, "ur5e", True).measurements()
     found = fit_effects(data, ["geometry"], starts=1)
     assert found.noise.intraclass > 0.6

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 from hidden.causes import Hidden
-from observations.newcomer import all_the_way, simulated, study
+from observations.newcomer import ALIKE, all_the_way, simulated, study
 from observations.pinhole import Pinhole
 
 NOISE, ODD = 0.05, 23  # px, and the row whose marker was mistaken
@@ -32,7 +32,7 @@ def test_pixels_go_all_the_way(small, tmp_path):
         f"sigma_px = {NOISE}\n\n[measurements.settings]\nfocal_px = {FOCAL}\nmiddle_px = {list(MIDDLE)}\n"
         "origin_mm = [3500, 400, 900]\nrotation_deg = [-90, -90, 0]\n"
     )
-    environment = study(small, tmp_path / "site", Pinhole, made, image(made), settings)
+    environment = study(small, tmp_path / "site", Pinhole, made, image(made), settings, ALIKE)
     found = all_the_way(small, environment, made, ODD, "px", ECCENTRIC)
     assert 0.3 < found.nominal < 5.0
     assert found.left < 3 * NOISE

@@ -62,7 +62,7 @@ PROJECTS = {  # of which maker, and their files
     "RAPID": ("RAPID", RAPID), "KRL": ("KRL", KRL), "FANUC": ("FANUC", FANUC), "URScript": ("URScript", URSCRIPT),
     "ABB backup": ("RAPID", on_disk("abb")), "KUKA backup": ("KRL", on_disk("kuka")),
 }  # fmt: skip
-MUTATIONS = 20  # of each project
+MUTATIONS = 10  # of each project
 MUTATED = 2  # of each program, in one thing that means another
 HANDS = 2  # of each program, in several things that mean the same
 STATES = {"RAPID": as_rapid, "KRL": as_krl, "FANUC": as_fanuc, "URScript": as_urscript}

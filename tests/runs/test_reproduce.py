@@ -14,6 +14,24 @@ from calflow.runs.reproduce import reproduce
 from conftest import Folder
 
 
+@pytest.fixture(scope="module")
+def _identified(_measured, tmp_path_factory):
+    folder = Folder(tmp_path_factory.mktemp("identified") / "study")
+    shutil.copytree(_measured.path, folder.path)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.delenv("CALFLOW_DATA", raising=False)
+        assert folder.calflow("run", "--stage", "identify").code == 0
+    return folder
+
+
+@pytest.fixture
+def identified(_identified, tmp_path, monkeypatch):
+    """A study of its own for the test, with a run that ends with identify."""
+    monkeypatch.delenv("CALFLOW_DATA", raising=False)
+    shutil.copytree(_identified.path, tmp_path / "identified")
+    return Folder(tmp_path / "identified")
+
+
 def test_a_moved_run_comes_out_the_same(finished):
     """Fails if a result depends on where a run lies or on anything but its inputs, or a difference is told where there is none."""
     answer = finished.calflow("reproduce", finished / "runs")
@@ -48,34 +66,34 @@ def test_stages_of_other_inputs_are_told(finished):
     assert all("study's seed changed from 7 to 8" in one for one in told)
 
 
-def test_what_differs_is_told_with_its_size(finished):
+def test_what_differs_is_told_with_its_size(identified):
     """Fails if another number passes for the same, or by how much is wrong."""
-    table = pd.read_csv(finished / "runs" / "identify" / "parameters.csv")
+    table = pd.read_csv(identified / "runs" / "identify" / "parameters.csv")
     k = int(table.index[table["parameter"] == "joint2.a"][0])
     table.loc[k, "estimate"] += 3 * table.loc[k, "sd"]
     table["estimate"] = table["estimate"].map(repr)  # with every digit, as it was written
-    finished.rewrite("identify/parameters.csv", table)
-    finished.edit("runs/manifest.json", *[('"numpy": "', '"numpy":  "0.')] * 2)
-    answer = finished.calflow("reproduce", finished / "runs", "--out", finished / "again")
+    identified.rewrite("identify/parameters.csv", table)
+    identified.edit("runs/manifest.json", *[('"numpy": "', '"numpy":  "0.')] * 2)
+    answer = identified.calflow("reproduce", identified / "runs", "--out", identified / "again")
     assert answer.code == 1
     assert "numpy 0." in answer.out
     assert "most in joint2.a: " in answer.out
     assert answer.out.splitlines()[-2].startswith("not the same")
-    told = pd.read_csv(finished / "again" / "differences.csv")
+    told = pd.read_csv(identified / "again" / "differences.csv")
     row = told[told["column"] == "estimate"].iloc[0]
     assert row["in_sd"] == pytest.approx(3, rel=1e-6)
     assert row["cells"] == 1
-    assert (finished / "again" / "run" / "manifest.json").is_file()
-    (said,) = finished.refused("reproduce", finished / "runs", "--out", finished / "again")
+    assert (identified / "again" / "run" / "manifest.json").is_file()
+    (said,) = identified.refused("reproduce", identified / "runs", "--out", identified / "again")
     assert said.startswith("again: is not empty")
 
 
-def test_rounding_is_told_as_such(finished):
+def test_rounding_is_told_as_such(identified):
     """Fails if other last digits, as other versions make them, pass for another result."""
-    table = pd.read_csv(finished / "runs" / "identify" / "parameters.csv", dtype=str, keep_default_na=False)
+    table = pd.read_csv(identified / "runs" / "identify" / "parameters.csv", dtype=str, keep_default_na=False)
     table["estimate"] = (table["estimate"].astype(float) * (1 + 3e-9)).map("{:.10g}".format)
-    finished.rewrite("identify/parameters.csv", table)
-    answer = finished.calflow("reproduce", finished / "runs")
+    identified.rewrite("identify/parameters.csv", table)
+    answer = identified.calflow("reproduce", identified / "runs")
     assert answer.code == 1
     assert answer.out.splitlines()[-1].startswith("the same to 8 digits: no number differs by more than rounding")
 
