@@ -131,8 +131,7 @@ def work_real(place: Place) -> list[Row]:
 
 def still(known: cf.Calibration) -> cf.Calibration:
     """The calibration without what wanders from measurement to measurement: in its own one the causes say how."""
-    stays = np.array([not isinstance(function, Wandering) for function in known.errors.function_of], dtype=bool)
-    return replace(known, errors=known.errors.only(stays))
+    return replace(known, errors=known.errors.only(lambda function: not isinstance(function, Wandering)))
 
 
 SPLITS = tuple(product(("ur10", "ur5", "fanuc"), (False, True)))

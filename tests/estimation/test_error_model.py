@@ -304,7 +304,8 @@ def test_whose_error_depends_on_an_angle_is_told():
     moved = model.position(model.nominal, turned) - model.position(model.nominal, data.conditions)
     data.table[["x", "y", "z"]] += moved
     _, result, errors = fitted(data)
-    every = dict(zip(errors.function_of, errors.sd, strict=True)).items()
+    of_amplitude = [function for function in errors.functions for _ in function.declared]
+    every = dict(zip(of_amplitude, errors.sd, strict=True)).items()
     sizes = [(function, sd) for function, sd in every if not is_mean(function)]
     own = [sd for function, sd in sizes if isinstance(function, JointField) and function.erring == (1,)]
     others = [sd for function, sd in sizes if function.inputs == ("q2",) and sd not in own]

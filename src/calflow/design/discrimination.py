@@ -365,19 +365,18 @@ def _choices(fitted: Fitted, observation: Observation, rng: np.random.Generator)
     number = min(CANDIDATES, max(1, MOST_CANDIDATES // len(possible)))
     for payload in possible:
         drawn, _ = candidates(model, number, payload, str(data.table["marker"].iloc[0]), region, rng, observation)
-        came = rng.choice([-1.0, 1.0], drawn.shape)
-        tables.append(rows_like(data, drawn, came, (str(payload),) * len(drawn), rng).table)
+        tables.append(rows_like(data, drawn, (str(payload),) * len(drawn), rng).table)
     return replace(data, table=pd.concat(tables, ignore_index=True))
 
 
 def rows_like(
-    data: Measurements, readings: np.ndarray, came: np.ndarray, payloads: Sequence[str], rng: np.random.Generator
+    data: Measurements, readings: np.ndarray, payloads: Sequence[str], rng: np.random.Generator
 ) -> Measurements:
-    """Return rows of readings (n, n_joints) with directions of approach (n, n_joints), each under its payload.
+    """Return rows of readings (n, n_joints), each under its payload, with each joint's approach from either side.
 
     Other conditions are drawn from those of the data; times continue after the last row.
     """
-    robot = data.robot
+    robot, came = data.robot, rng.choice([-1.0, 1.0], readings.shape)
     drawn = data.table.iloc[rng.integers(len(data), size=len(readings))].reset_index(drop=True)
     drawn[condition_columns("reading", robot)] = readings
     drawn["payload"] = list(payloads)

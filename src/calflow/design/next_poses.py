@@ -334,8 +334,7 @@ def _choices(
     readings = asked.choice(model, planned.observation, rng)
     if not len(readings):
         raise refuse("no pose of candidates_file is within limits and region, and allowed by the cell")
-    came = rng.choice([-1.0, 1.0], readings.shape)
-    return rows_like(data, readings, came, (asked.payload,) * len(readings), rng)
+    return rows_like(data, readings, (asked.payload,) * len(readings), rng)
 
 
 def _table(model: Model, choices: Measurements, reasons: Mapping[int, str], asked: SelectionRequest) -> pd.DataFrame:

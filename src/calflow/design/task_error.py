@@ -261,8 +261,7 @@ class TaskSlopes:
     @staticmethod
     def of(fitted: Fitted, task: Task, rng: np.random.Generator) -> TaskSlopes:
         """Return the task's points, with conditions other than readings and payload like those of the measured rows."""
-        came = rng.choice([-1.0, 1.0], task.readings.shape)
-        conditions = rows_like(fitted.data, task.readings, came, list(task.payloads), rng).conditions
+        conditions = rows_like(fitted.data, task.readings, list(task.payloads), rng).conditions
         return TaskSlopes(fitted, conditions, fitted.model.point_jacobian(fitted.fit.estimate, conditions))
 
     def moved(self, effects: tuple[Effect, ...]) -> np.ndarray:
@@ -366,8 +365,7 @@ def _smooth(at_task: TaskSlopes, fitted: Fitted, rng: np.random.Generator) -> tu
 
     Drift of the measuring device does not move the tool.
     """
-    still = np.array([not _is_device_drift(function) for function in fitted.errors.function_of], dtype=bool)
-    errors = fitted.errors.only(still)
+    errors = fitted.errors.only(lambda function: not _is_device_drift(function))
     moved = errors.at(fitted.model, fitted.fit.estimate, at_task.conditions).moved
     off = _normal(TASK_DRAWS, fitted.covariance - np.outer(errors.offset, errors.offset), rng)
     slopes = at_task.slopes - moved @ errors.slope

@@ -10,7 +10,7 @@ functions' prior variance far from them (at a joint past its travel, or at a lat
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import chain
@@ -84,17 +84,12 @@ class ErrorModel:
         none = np.zeros(0)
         return ErrorModel((), none, none, np.zeros((0, n_parameters)), np.zeros((0, 0)), np.zeros(n_parameters), rest)
 
-    @property
-    def function_of(self) -> tuple[SmoothFunction, ...]:
-        """The function of each amplitude, (n_functions,)."""
-        return tuple(function for function in self.functions for _ in function.declared)
-
-    def only(self, kept: np.ndarray) -> ErrorModel:
-        """Return a copy with some functions alone, given by a mask of their amplitudes, kept (n_functions,)."""
-        functions = dict.fromkeys(function for function, here in zip(self.function_of, kept, strict=True) if here)
+    def only(self, keep: Callable[[SmoothFunction], bool]) -> ErrorModel:
+        """Return a copy with some functions alone."""
+        kept = np.array([keep(function) for function in self.functions for _ in function.declared], dtype=bool)
         return replace(
             self,
-            functions=tuple(functions),
+            functions=tuple(filter(keep, self.functions)),
             sd=self.sd[kept],
             mean=self.mean[kept],
             slope=self.slope[kept],
@@ -311,11 +306,10 @@ def beside_smooth_errors(sizes: SmoothVariances, elsewhere: float) -> tuple[Fit,
         offset,
         rest,
     )
-    of_robot = np.array([not function.of_images for function in errors.function_of], dtype=bool)
     # Inverse of the covariance plus the square of the offset (Sherman and Morrison 1950).
     along = information @ offset
     unsure = replace(result, information=information - np.outer(along, along) / (1 + along @ offset))
-    return unsure, errors.only(of_robot)
+    return unsure, errors.only(lambda function: not function.of_images)
 
 
 def usual_sizes(model: Model, functions: Sequence[SmoothFunction]) -> np.ndarray:
@@ -525,19 +519,22 @@ def beyond_measured(errors: ErrorModel, sizes: SmoothVariances) -> ErrorModel:
         errors: the error model at the measured rows.
         sizes: variances of the smooth errors beside the model.
     """
-    beyond_travel = _beyond_travel(errors, sizes.result, sizes.data)
-    return _beyond_time(_cooling(beyond_travel, sizes.result, sizes.data), sizes)
+    functions = [*_beyond_causes(sizes.result, sizes.data)]
+    return _beyond_time(errors.with_functions(functions, usual_sizes(sizes.result.model, functions)), sizes)
 
 
-def _beyond_travel(errors: ErrorModel, result: Fit, data: Measurements) -> ErrorModel:
-    model, travels = result.model, []
+def _beyond_causes(result: Fit, data: Measurements) -> Iterator[SmoothFunction]:
+    """Yield the continuations of causes: of curves past their travel, and of warm-ups past the end."""
+    model = result.model
     for cause in (effect for effect in model.effects if isinstance(effect, Cause)):
-        own = model.columns(cause)
+        own, warming = model.columns(cause), cause.effect
         if curve := Curve.of(cause, result.estimate[own], result.covariance[np.ix_(own, own)]):
             at = curve.travel
-            travels.append(BeyondTravel(data.robot, cause.joint - 1, at.low, at.high, at.length, curve.rms_elsewhere))
-    sd = usual_sizes(model, travels)
-    return errors.with_functions(travels, sd)
+            yield BeyondTravel(data.robot, cause.joint - 1, at.low, at.high, at.length, curve.rms_elsewhere)
+        if isinstance(warming, Warming) and warming.constant and not warming.of_measuring():
+            growth, end = float(model.values(cause, result.estimate)[0]), float(data.table["time"].max())
+            once = replace(warming, pauses=()).figures_text
+            yield Cooling(data.robot, cause.id, once, cause.part, growth, end)
 
 
 def _beyond_time(errors: ErrorModel, sizes: SmoothVariances) -> ErrorModel:
@@ -552,9 +549,7 @@ def _beyond_time(errors: ErrorModel, sizes: SmoothVariances) -> ErrorModel:
     by_order = steps[0].clock == "order"
     if by_order:
         # The order starts anew in each measurement.
-        errors = errors.only(
-            np.array([not isinstance(function, InTime) for function in errors.function_of], dtype=bool)
-        )
+        errors = errors.only(lambda function: not isinstance(function, InTime))
     walks = _walks(sizes.without(causes)) if causes else left
     for of, walk in walks.items():
         functions: list[SmoothFunction]
@@ -579,17 +574,6 @@ def _beyond_time(errors: ErrorModel, sizes: SmoothVariances) -> ErrorModel:
         slope /= sd[:, None]
         errors = errors.with_functions(come, sd, (slope @ (result.estimate + errors.offset), -slope))
     return errors
-
-
-def _cooling(errors: ErrorModel, result: Fit, data: Measurements) -> ErrorModel:
-    losses = []
-    for cause in (effect for effect in result.model.effects if isinstance(effect, Cause)):
-        warming = cause.effect
-        if isinstance(warming, Warming) and warming.constant and not warming.of_measuring():
-            growth, end = float(result.model.values(cause, result.estimate)[0]), float(data.table["time"].max())
-            once = replace(warming, pauses=()).figures_text
-            losses.append(Cooling(data.robot, cause.id, once, cause.part, growth, end))
-    return errors.with_functions(losses, np.ones(len(losses)))
 
 
 def _walks(sizes: SmoothVariances) -> dict[str, float]:
