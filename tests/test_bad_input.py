@@ -450,6 +450,13 @@ def test_a_loop_that_cannot_be_closed_is_told_row_by_row(looped):
     assert told[5].endswith(f"cannot be closed at these joint readings (and {len(lines) - 5} more rows)")
 
 
+def test_a_study_states_no_step(small):
+    """Fails if an effect without a known moment is fitted in silence, where it moves nothing."""
+    small.edit("study.toml", ('"joint-compliance"]', '"joint-compliance", "joint-step"]'))
+    (told,) = small.refused("check")
+    assert told.startswith("study.toml:5: effects: effect 'joint-step' happens at a row that nobody knows yet")
+
+
 @pytest.mark.parametrize("name", ["study.toml", "robot.toml", "quick.toml"])
 @pytest.mark.parametrize("line", ["{} = 1\n", "x = {}\n"])
 def test_tables_within_tables_without_end_are_refused(small, name, line):

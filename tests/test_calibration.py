@@ -116,8 +116,9 @@ def test_wrong_requests_are_refused_together(points):
     with pytest.raises(cf.InputError, match="unknown effect 'geometri', did you mean 'geometry'"):
         cf.identify(robot, rows.split(), effects=["geometri"])
     with pytest.raises(cf.InputError) as refused:
-        cf.identify(robot, rows.split(), effects=["gear-transmission-error", "range-noise"])
-    assert len(refused.value.problems) == 3
+        cf.identify(robot, rows.split(), effects=["gear-transmission-error", "range-noise", "joint-step"])
+    assert len(refused.value.problems) == 4
+    assert "'joint-step' happens at a row that nobody knows yet; diagnose looks for it" in str(refused.value)
     with pytest.raises(cf.InputError) as refused:
         cf.identify(robot, rows.split(), effects=["geometry", "joint-slack"], count={"geometri": 3, "geometry": -1})
     assert [problem.key for problem in refused.value.problems] == ["effects[2]", "count: geometri", "count: geometry"]

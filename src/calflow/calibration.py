@@ -732,7 +732,7 @@ def _checked_effects(
     """Return effects that can be fitted.
 
     Raises:
-        InputError: an effect is unknown, given twice, a model of the noise, or needs data that robot and measurements
+        InputError: an effect is unknown, given twice, found by diagnosis alone, or needs data that robot and measurements
             lack; or the robot states a prior of a parameter that does not exist.
     """
     given = effects_given(effects)
@@ -742,9 +742,9 @@ def _checked_effects(
         raise refuse(str(error), key="effects") from None
     every = build(robot, given).effects
     problems = [
-        Problem(f"effect '{effect.id}' is a model of the noise, which no fit can have; diagnose looks for it")
-        for effect in every
-        if effect.is_noise()
+        Problem(f"effect '{effect.id}' {alone}; diagnose looks for it")
+        for stated, effect in zip(given, every, strict=True)
+        if (effect.is_noise() or not isinstance(stated, Effect)) and (alone := effect.found_alone())
     ]
     problems += [
         Problem(f"effect '{effect.id}' needs {lacking}")

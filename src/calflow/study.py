@@ -174,15 +174,13 @@ class StudyFile(FileModel):
 
     @field_validator("effects")
     @classmethod
-    def _none_of_noise(cls, effects: tuple[str, ...]) -> tuple[str, ...]:
+    def _none_to_be_found(cls, effects: tuple[str, ...]) -> tuple[str, ...]:
         from calflow.effects import effect_class
 
         for effect in effects:
             kind = effect_class(effect)
-            if kind and kind.is_noise():
-                raise ValueError(
-                    f"effect '{effect}' is a model of the noise, which no fit can have; diagnose looks for it"
-                )
+            if kind and (alone := kind.found_alone()):
+                raise ValueError(f"effect '{effect}' {alone}; diagnose looks for it")
         return effects
 
 

@@ -325,6 +325,11 @@ class Effect(ABC):
         return cls.scatter is not Effect.scatter
 
     @classmethod
+    def found_alone(cls) -> str:
+        """Return why a study cannot state it, so that it is found by diagnosis alone; empty where it can."""
+        return "is a model of the noise, which no fit can have" if cls.is_noise() else ""
+
+    @classmethod
     def of_measuring(cls) -> bool:
         """Whether it belongs to the measuring, not to the robot as it was left: an error of the device, or what is over since."""
         return cls.device is not Effect.device or cls.target is not Effect.target or cls.is_noise()

@@ -48,6 +48,11 @@ class StepChange(Effect):
         return tuple(replace(kind, moment=float(moment)) for kind in cls.kinds(robot) for moment in moments)
 
     @classmethod
+    def found_alone(cls) -> str:
+        """Return that its moment is not known."""
+        return "happens at a row that nobody knows yet"
+
+    @classmethod
     def of_measuring(cls) -> bool:
         """Whether it belongs to the measuring, not to the robot as it was left: it does."""
         return True
