@@ -11,7 +11,7 @@ import scipy
 
 from calflow.diagnosis.diagnosis import Diagnosis
 from calflow.diagnosis.noise_growth import RANGE, Growth
-from calflow.diagnosis.screening import Score, by_place, f_threshold
+from calflow.diagnosis.screening import Score, by_place, f_threshold, place_probabilities
 from calflow.diagnosis.stepwise import Screened
 from calflow.diagnosis.verdict import SIZE, amplitude
 from calflow.effects import Effect, catalogue
@@ -63,10 +63,7 @@ def candidates_table(diagnosis: Diagnosis, data: Measurements, rng: np.random.Ge
     """Return diagnose/candidates.csv: every place in its best variant, by the first screening, and effects not tested."""
     first = diagnosis.extended.first
     places = by_place(first.scores)
-    least = min((cost for cost, _ in places.values()), default=0.0)
-    weights = {place: np.exp(-(cost - least) / 2) for place, (cost, _) in places.items()}
-    nothing = len(places) * np.exp(least / 2)  # a priori as probable as all places together
-    total = sum(weights.values()) + nothing
+    probability = place_probabilities(places)
     ordered = sorted(places.items(), key=lambda item: item[1][0])
     limits = detection_limits([score for _, (_, score) in ordered], first, diagnosis.false_alarm, rng)
     rows = []
@@ -76,7 +73,7 @@ def candidates_table(diagnosis: Diagnosis, data: Measurements, rng: np.random.Ge
                 _score(score),
                 p_family=first.family.p(score),
                 delta_bic=cost,
-                probability=weights[place] / total,
+                probability=probability[place],
                 limit=limit,
                 tests=first.family.tests(score),
             )

@@ -26,7 +26,7 @@ import scipy
 from calflow.diagnosis.background import JOINTS, BackgroundBasis, Sizes, background, beside_background, uneven_causes
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import Background, Regressors
-from calflow.diagnosis.screening import Catalogue, Score, Screening, by_place
+from calflow.diagnosis.screening import Catalogue, Score, Screening
 from calflow.diagnosis.stepwise import (
     REACH,
     SPLIT,
@@ -149,9 +149,8 @@ class FittedTrial(Trial[Cause]):
         A mass moves the tool through a spring: linearised beside the bending that it is to replace, it seems to explain the same,
         but without any spring it has no effect. A candidate without effect there is no rival.
         """
-        places, cause, fitted = by_place(finding.scores), finding.cause, self.fitted
-        limit = places[cause.place][0] + 2 * REACH
-        near = {score.cause: score for score in finding.scores if places[score.cause.place][0] < limit}
+        cause, fitted, limit = finding.cause, self.fitted, finding.cost + 2 * REACH
+        near = {score.cause: score for score in finding.scores if finding.places[score.cause.place][0] < limit}
         near = {rival: score for rival, score in near.items() if rival.place != cause.place}
         if not near:
             return finding

@@ -11,7 +11,7 @@ Candidates are also tested against many simulated residuals at once (`trials`). 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Generic
@@ -444,3 +444,9 @@ def by_place(scores: Sequence[Score[H]]) -> dict[tuple[str, str], tuple[float, S
         least = float(values.min())
         places[place] = (least - 2 * float(np.log(np.exp((least - values) / 2).sum())), members[int(values.argmin())])
     return places
+
+
+def place_probabilities(places: Mapping[tuple[str, str], tuple[float, Score]]) -> dict[tuple[str, str], float]:
+    """Return each place's probability against the others and none, which is a priori as probable as all places together."""
+    logs = [-cost / 2 for cost, _ in places.values()]
+    return dict(zip(places, scipy.special.softmax([*logs, np.log(max(len(places), 1))]).tolist(), strict=False))

@@ -58,6 +58,9 @@ MOST_TRIALS = 60  # models that are fitted in all: a search that needs more is c
 ENTANGLED = 3  # causes, the last found, that are exchanged in pairs
 
 
+Place = tuple[str, str]  # of a cause: its id and part
+
+
 @dataclass(frozen=True)
 class Detection(Generic[H]):
     """A cause in the extended model, with the scores of all candidates in its place, beside the other causes.
@@ -76,6 +79,16 @@ class Detection(Generic[H]):
     def own(self) -> Score[H]:
         """The cause's own score."""
         return next(score for score in self.scores if score.cause == self.cause)
+
+    @cached_property
+    def places(self) -> dict[Place, tuple[float, Score[H]]]:
+        """Cost and best score of each place (see `by_place`)."""
+        return by_place(self.scores)
+
+    @property
+    def cost(self) -> float:
+        """Cost of the cause's place."""
+        return self.places[self.cause.place][0]
 
     @property
     def p(self) -> float:
@@ -484,17 +497,13 @@ class Exchange(Generic[H]):
         return self.family.p(replace(self.scores[j], p=float(single)))
 
 
-Place = tuple[str, str]
-
-
 def doubtful(finding: Detection[H]) -> list[Score[H]]:
     """Return the best variants of rivals that the linearisation does not exclude, best first; empty for a small cause."""
     doubt = -DOUBT * finding.own.cost
     if doubt < WORTH:
         return []
-    places = by_place(finding.scores)
-    named_cost = places.pop(finding.cause.place)[0]
-    near = [(cost, score) for cost, score in places.values() if cost - named_cost < WITHIN + doubt]
+    others = (scored for place, scored in finding.places.items() if place != finding.cause.place)
+    near = [(cost, score) for cost, score in others if cost - finding.cost < WITHIN + doubt]
     return [score for _, score in sorted(near, key=lambda scored: scored[0])]
 
 
@@ -538,9 +547,7 @@ def _has(trial: Trial[H], stay: Sequence[H], rival: H) -> bool:
 
 def corrected_rivals(finding: Detection[H], above: Mapping[Place, float], degrees_of_freedom: float) -> Detection[H]:
     """Return the finding with some places' costs replaced by fitted ones, given relative to that of the cause."""
-    places = by_place(finding.scores)
-    own_cost = places[finding.cause.place][0]
-    shift = {place: cost + own_cost - places[place][0] for place, cost in above.items()}
+    shift = {place: cost + finding.cost - finding.places[place][0] for place, cost in above.items()}
 
     def moved(score: Score[H]) -> Score[H]:
         if score.cause.place not in shift:
@@ -729,9 +736,8 @@ def second_thoughts(findings: Sequence[Detection[H]], acceptance: CauseAcceptanc
         if not acceptance.keeps(finding):
             return [cause for cause in causes if cause != finding.cause]
     for finding in weakest:
-        places = by_place(finding.scores)
-        cost, best = min(places.values(), key=lambda scored: scored[0])
-        if cost < places[finding.cause.place][0] and acceptance.accepts(best, finding.family):
+        cost, best = min(finding.places.values(), key=lambda scored: scored[0])
+        if cost < finding.cost and acceptance.accepts(best, finding.family):
             return swapped(causes, finding.cause, best.cause)
     return causes
 

@@ -26,7 +26,7 @@ import scipy
 from calflow.diagnosis.background import BackgroundBasis, components_beside, each_pose, uneven_causes
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import Background
-from calflow.diagnosis.screening import MATERIAL, Score, Screening, by_place
+from calflow.diagnosis.screening import MATERIAL, Score, Screening, by_place, place_probabilities
 from calflow.effects import Effect
 from calflow.effects.base import ITS_ANGLE, UNITS, Cause
 from calflow.estimation.accuracy import judged_unit
@@ -83,12 +83,11 @@ def suspected(left: Sequence[UnexplainedStructure], scores: Sequence[Score[Cause
     strongest dependence: a priori one of them is as probable as none.
     """
     places = by_place(scores)
-    odds = {place: float(np.exp(-cost / 2)) / len(places) for place, (cost, _) in places.items()}
-    likeliest = sorted(places, key=lambda place: -odds[place])
-    least = SUSPECTED * (1 + sum(odds.values()))
+    probability = place_probabilities(places)
+    likeliest = sorted(places, key=lambda place: -probability[place])
     structures = []
     for first, structure in zip((True, *[False] * len(left)), left, strict=False):
-        causes = [(places[place][1].cause, first and odds[place] >= least) for place in likeliest]
+        causes = [(places[place][1].cause, first and probability[place] >= SUSPECTED) for place in likeliest]
         suspects = (cause for cause, likely in causes if likely or is_any_error_along(cause, structure.along))
         structures.append(replace(structure, suspects=tuple(suspects)))
     return tuple(structures)

@@ -24,7 +24,7 @@ import scipy
 from calflow.diagnosis.extension import Extended
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import H
-from calflow.diagnosis.screening import Catalogue, Score, by_place
+from calflow.diagnosis.screening import Catalogue, Score
 from calflow.diagnosis.stepwise import REACH, WITHIN, Detection
 from calflow.effects.base import UNEXPLAINED, Cause, NamedCause
 from calflow.estimation.calibrated_model import MANY, Alternative
@@ -88,8 +88,8 @@ class Verdict(Generic[H]):
         return self._of_all(NamedCause.covers)
 
     def _of_all(self, alike: Callable[[NamedCause, NamedCause], bool]) -> float:
-        cause, evidence = self.finding.cause, by_place(self.finding.scores)
-        costs = [(best.cause.id, best.cause.joint, cost - evidence[cause.place][0]) for cost, best in evidence.values()]
+        cause, places = self.finding.cause, self.finding.places.values()
+        costs = [(best.cause.id, best.cause.joint, cost - self.finding.cost) for cost, best in places]
         costs += [(rival.id, rival.joint, rival.cost) for rival in self.rivals if rival.score is None]
         own = NamedCause(cause.id, cause.joint)
         summed = [cost for other, joint, cost in costs if alike(own, NamedCause(other, joint))]
@@ -112,21 +112,16 @@ def verdict(finding: Detection[H], untestable: Mapping[str, str] = MappingProxyT
 
     untestable holds ids of possible causes that could not be tested, with what a test would take: each as likely as the finding.
     """
-    evidence = by_place(finding.scores)
     cause = finding.cause
-    named_cost = evidence[cause.place][0]
-    rivals = [
-        Rival(best.cause.id, best.cause.joint, cost - named_cost, best)
-        for place, (cost, best) in evidence.items()
-        if place != cause.place and cost - named_cost < WITHIN
-    ]
+    elsewhere = [(cost - finding.cost, best) for place, (cost, best) in finding.places.items() if place != cause.place]
+    rivals = [Rival(best.cause.id, best.cause.joint, cost, best) for cost, best in elsewhere if cost < WITHIN]
     tested = {(score.cause.id, score.cause.joint) for score in finding.scores}
     untested = [other for other in dict.fromkeys([*cause.alike, *untestable]) if (other, cause.joint) not in tested]
     rivals += [Rival(other, cause.joint, 0.0, None, untestable.get(other, "")) for other in untested]
     against = TEMPERED * finding.unnamed
     if against < WITHIN:
         rivals.append(Rival(UNEXPLAINED, 0, against, None))
-    others = [-(cost - named_cost) / 2 for place, (cost, _) in evidence.items() if place != cause.place]
+    others = [-cost / 2 for cost, _ in elsewhere]
     others += [0.0] * len(untested) + [_log_odds_of_nothing(finding)]
     probability = 1 / (1 + float(np.exp(others).sum()))
     ordered = tuple(sorted(rivals, key=lambda rival: rival.cost))
@@ -139,12 +134,8 @@ def _log_odds_of_nothing(finding: Detection) -> float:
     Either nothing acts, a priori as probable as all places together, or an unnamed error, which never counts more than the
     finding.
     """
-    places = by_place(finding.scores)
-    return float(
-        np.logaddexp(
-            places[finding.cause.place][0] / 2 + np.log(len(places)), -max(TEMPERED * finding.unnamed, 0.0) / 2
-        )
-    )
+    nothing = finding.cost / 2 + np.log(len(finding.places))
+    return float(np.logaddexp(nothing, -max(TEMPERED * finding.unnamed, 0.0) / 2))
 
 
 def label(cause: str, joint: int) -> str:
@@ -263,7 +254,7 @@ class _Choice:
 def _in_its_place(finding: Detection[Cause]) -> list[_Choice]:
     """Return the alternatives in a finding's place: a rival, another form, or none; relative to the form that was found."""
     cause, cost = finding.cause, finding.own.cost
-    forms = (cost - by_place(finding.scores)[cause.place][0]) / 2
+    forms = (cost - finding.cost) / 2
     others = [
         _Choice("instead", cause, score.cause, (cost - score.cost) / 2)
         for score in finding.scores
