@@ -35,7 +35,7 @@ def fitted():
     near = measured(MODEL, TRUTH, 60, np.random.default_rng(9))
     near = near.only(np.abs(near.joints[:, 1]) < 0.8)
     fit, noise, lack, _ = fit_reweighted(MODEL, near, stated(near), MODEL.nominal[None], "linear")
-    return Fitted(fit, near, noise, lack, "linear", noise)
+    return Fitted(fit, near, noise, lack, noise)
 
 
 @pytest.fixture(scope="module")

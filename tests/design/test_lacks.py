@@ -92,7 +92,7 @@ def test_the_task_s_error_is_as_large_as_promised_where_a_misfit_is_smooth():
     data, there = (whole.only(part).stating(()) for part in (rows < POSES, rows >= POSES))
     model = build(data.robot, ("geometry",))
     fit, noise, lack, _ = fit_reweighted(model, data, stated(data), model.nominal[None], "linear")
-    fitted = Fitted(fit, data, noise, lack, "linear", stated(data))
+    fitted = Fitted(fit, data, noise, lack, stated(data))
     assert fitted.errors.functions
     missing = MissingEffects.of(fitted, Catalogue.of(data, ("geometry",)))
     site = TaskSlopes(fitted, there.conditions, model.point_jacobian(fit.estimate, there.conditions))

@@ -74,7 +74,7 @@ def fitted(where):
                          line=np.arange(len(table)) + 2)  # fmt: skip
     data = Measurements(ROBOT, table)
     fit, noise, lack, _ = fit_reweighted(MODEL, data, stated(data), MODEL.nominal[None], "linear")
-    return Fitted(fit, data, noise, lack, "linear", noise)
+    return Fitted(fit, data, noise, lack, noise)
 
 
 def asked(where, rivals=(ECCENTRIC,), size=2e-4, untestable=()):

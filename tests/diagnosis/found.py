@@ -22,7 +22,7 @@ def start(data):
     """Geometry alone, fitted."""
     model = build(data.robot, ("geometry",))
     fit, noise, lack, _ = fit_reweighted(model, data, stated(data), model.nominal[None], "linear")
-    return Fitted(fit, data, noise, lack, "linear", noise)
+    return Fitted(fit, data, noise, lack, noise)
 
 
 def hidden(values, poses=80, seed=4):

@@ -49,7 +49,7 @@ def drawn(*names, q, approach):
     level = Noise(np.full(len(q), NOISE), ("file",))
     problem = LeastSquares.of(model, data, level)
     fit = Fit(problem, estimate, 0.0, (noise / NOISE).ravel(), np.eye(len(estimate)), 0, True, "")
-    fitted = Fitted(fit, data, level, LackOfFit(1.0, 0.5, 0.0), "linear", level)
+    fitted = Fitted(fit, data, level, LackOfFit(1.0, 0.5, 0.0), level)
     return curves(fitted, causes, data), noise
 
 
@@ -133,6 +133,6 @@ def test_no_finding_draws_nothing(rows):
     level = Noise(np.ones(len(data)), ("file",))
     problem = LeastSquares.of(model, data, level)
     fit = Fit(problem, model.nominal, 0.0, np.zeros(3 * len(data)), np.eye(len(model.nominal)), 0, True, "")
-    none = curves(Fitted(fit, data, level, LackOfFit(1.0, 0.5, 0.0), "linear", level), [], data)
+    none = curves(Fitted(fit, data, level, LackOfFit(1.0, 0.5, 0.0), level), [], data)
     assert list(none.columns) == [column.name for column in columns(CurvePoint)]
     assert none.empty

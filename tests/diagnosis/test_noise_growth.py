@@ -32,7 +32,7 @@ def fitted(repeats, shift, sigma=lambda r: 0 * r + SIGMA):
     device = measured_noise(data)
     means, device = averaged(data, replace(device, scatter=repeats_scatter(data, errors(model, model.nominal, data))))
     fit, noise, lack, _ = fit_reweighted(model, means, device, model.nominal[None], "linear")
-    return Fitted(fit, means, noise, lack, "linear", device)
+    return Fitted(fit, means, noise, lack, device)
 
 
 def of_residuals(seen, significance):

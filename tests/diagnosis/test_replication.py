@@ -35,7 +35,7 @@ def here():
     model, cause, data = series((2e-4, 1e-4), 1)
     train = data.only(data.train)
     fit, noise, lack, _ = fit_reweighted(model, train, stated(train), model.nominal[None], "linear")
-    return Fitted(fit, train, noise, lack, "linear", noise), cause
+    return Fitted(fit, train, noise, lack, noise), cause
 
 
 def test_the_same_error_confirms(here):

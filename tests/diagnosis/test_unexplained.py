@@ -33,7 +33,7 @@ def fitted(shift=None, seed=8, poses=100, sigma=None):
         data.table[["x", "y", "z"]] += shift(data.table)
     model = build(robot, ("geometry",), data.given)
     fit, noise, lack, _ = fit_reweighted(model, data, stated(data), model.nominal[None], "linear")
-    return Fitted(fit, data, noise, lack, "linear", noise)
+    return Fitted(fit, data, noise, lack, noise)
 
 
 def test_noise_depends_on_nothing():
@@ -68,9 +68,7 @@ def test_a_step_of_several_joints_is_told_from_its_row_on():
     data = replace(data, table=data.table.assign(order=np.arange(1.0, 101.0)))
     model = build(data.robot, ("geometry",), data.given)
     fit, noise, lack, _ = fit_reweighted(model, data, stated(data), model.nominal[None], "linear")
-    left, *_ = unexplained(
-        Fitted(fit, data, noise, lack, "linear", noise), 0.01, np.random.default_rng(1), lambda _: None
-    )
+    left, *_ = unexplained(Fitted(fit, data, noise, lack, noise), 0.01, np.random.default_rng(1), lambda _: None)
     assert left.inputs == ("order",)
     assert left.detail == "since row 61 in measuring order"
 
@@ -100,7 +98,7 @@ def test_what_goes_with_the_payload_is_told():
         model.nominal, data.conditions
     )
     fit, noise, lack, _ = fit_reweighted(model, data, stated(data), model.nominal[None], "linear")
-    left = unexplained(Fitted(fit, data, noise, lack, "linear", noise), 0.01, np.random.default_rng(1), lambda _: None)
+    left = unexplained(Fitted(fit, data, noise, lack, noise), 0.01, np.random.default_rng(1), lambda _: None)
     assert "payload" in left[0].inputs
     assert left[0].detail == "under load"
 

@@ -28,7 +28,7 @@ def fitted():
     model, _, data = series(SAME, 1)
     train = data.only(data.train)
     fit, noise, lack, _ = fit_reweighted(model, train, stated(train), model.nominal[None], "linear")
-    return Fitted(fit, train, noise, lack, "linear", noise)
+    return Fitted(fit, train, noise, lack, noise)
 
 
 def test_a_turned_sign_in_the_confirming_series_is_named_and_both_agree(fitted):

@@ -152,7 +152,7 @@ def extended_model(diagnosis: Diagnosis, calibrated: CalibratedModel, data: Meas
         at_bound=final.fit.at_bound,
         device=series_noise(_noise(final, calibrated, data), (grown.floor, grown.slope) if grown else None),
         discrepancy=final.noise.discrepancy,
-        loss=final.loss,
+        loss=final.fit.loss,
         errors=final.errors,
         intraclass=final.intraclass,
         needed=needed_conditions(final.model, final.fit.estimate, data),

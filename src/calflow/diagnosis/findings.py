@@ -288,24 +288,17 @@ def _family_name(cause: NamedCause) -> str:
     return f"{family} of joint {cause.joint}" if family and cause.joint else family
 
 
-@dataclass(frozen=True)
-class Gain:
-    """Reduction of the mean position error [m], with its 95 % interval; nan where nothing is held out."""
+def gain(
+    before: np.ndarray, after: np.ndarray, heldout: Measurements, rng: np.random.Generator
+) -> tuple[float, float, float]:
+    """Return the reduction of the mean error between two models' `errors` (n_rows, n_axes) on held-out rows, and its 95 % interval.
 
-    mean: float
-    low: float
-    high: float
-
-
-def gain(before: np.ndarray, after: np.ndarray, heldout: Measurements, rng: np.random.Generator) -> Gain:
-    """Return the gain between two models' `errors` (n_rows, n_axes) on held-out rows, by a bootstrap of whole poses.
-
-    Poses are resampled within payload and session.
+    It is by a bootstrap of whole poses, which are resampled within payload and session; nan where nothing is held out.
     """
     fallen = distances(before) - distances(after)
     there = np.isfinite(fallen)
     if not there.any():
-        return Gain(np.nan, np.nan, np.nan)
+        return NAN, NAN, NAN
     blocks, fallen = blocks_of(heldout.table), fallen[there]
     table = heldout.table.loc[there, ["pose", *blocks]].assign(fallen=fallen)
     poses = table.groupby("pose", sort=True).agg(
@@ -317,7 +310,7 @@ def gain(before: np.ndarray, after: np.ndarray, heldout: Measurements, rng: np.r
         total += group["total"].to_numpy()[drawn].sum(axis=1)
         count += group["n"].to_numpy()[drawn].sum(axis=1)
     low, high = np.quantile(total / count, INTERVAL)
-    return Gain(float(fallen.mean()), float(low), float(high))
+    return float(fallen.mean()), float(low), float(high)
 
 
 def predicted(fitted: Fitted, decoys: Sequence[Effect], data: Measurements) -> np.ndarray:
@@ -396,10 +389,10 @@ def findings(
 def _gained(
     row: Finding, before: np.ndarray, after: np.ndarray, heldout: Measurements, rng: np.random.Generator
 ) -> Finding:
-    gained = gain(before, after, heldout, rng)
-    mean = float(np.nanmean(distances(after))) if len(after) else NAN
+    left = float(np.nanmean(distances(after))) if len(after) else NAN
     unit = judged_unit(leading_units(heldout))
-    figures = {"gain_mean": gained.mean, "gain_low": gained.low, "gain_high": gained.high, "heldout_mean": mean}
+    mean, low, high = gain(before, after, heldout, rng)
+    figures = {"gain_mean": mean, "gain_low": low, "gain_high": high, "heldout_mean": left}
     suffix = "_mm" if unit == METRE else ""
     shown = {f"{name}{suffix}": unit.shown(figure) for name, figure in figures.items()}
     return replace(row, error_unit=unit.label, **shown)

@@ -41,7 +41,6 @@ class Fitted:
     data: Measurements
     noise: Noise
     lack: LackOfFit
-    loss: Loss
     device: Noise
     background: Background | None = None
     shared: float | None = None
@@ -141,7 +140,7 @@ class Fitted:
     @property
     def problem(self) -> LeastSquares:
         """The least-squares problem with robust weights and the intraclass correlation."""
-        return self._problem.reweighted(self.fit.estimate, self.loss)
+        return self._problem.reweighted(self.fit.estimate, self.fit.loss)
 
     @property
     def _problem(self) -> LeastSquares:
@@ -151,7 +150,7 @@ class Fitted:
         """Return the model refitted with another noise sigma (n_rows,) in the leading units."""
         noise = replace(self.device, sigma=sigma, discrepancy=PerUnit())
         return replace(
-            _settled(self.model, self.data, noise, self.fit.estimate, self.loss),
+            _settled(self.model, self.data, noise, self.fit.estimate, self.fit.loss),
             background=self.background,
             shared=self.shared,
         )
@@ -186,7 +185,7 @@ class Fitted:
         return fit(
             LeastSquares.of(model, self.data, self.noise),
             self.model.handed_on(self.fit.estimate, model)[None],
-            self.loss,
+            self.fit.loss,
         )[0]
 
     def with_causes(self, causes: Sequence[Cause], start: np.ndarray | None = None, share: float = 0.0) -> Fitted:
@@ -205,7 +204,7 @@ class Fitted:
         bare = replace(self.device, discrepancy=PerUnit())
         near = self.noise.sigma / self.outlier_factor * np.sqrt(1 - share)
         bare = replace(bare, sigma=np.where(bare.estimated, near, bare.sigma))
-        return _settled(model, self.data, bare, start, self.loss, self.outlier_factor)
+        return _settled(model, self.data, bare, start, self.fit.loss, self.outlier_factor)
 
 
 def _settled(
@@ -227,7 +226,7 @@ def _settled(
         before, outlier_factor, start = outlier_factor, _excess(settled, outlier_factor), settled.estimate
         if np.allclose(outlier_factor, before, rtol=SETTLED):
             break
-    return Fitted(settled, data, noise, lack, loss, device, outlier_factor=before)
+    return Fitted(settled, data, noise, lack, device, outlier_factor=before)
 
 
 def _excess(fit: Fit, outlier_factor: np.ndarray) -> np.ndarray:

@@ -98,7 +98,7 @@ def confirm(calibrated: Fitted, other: Measurements) -> Confirmation:
 
     def fitted(effects: Sequence[Effect]) -> Fit:
         model = Model(robot, tuple(effects), other.given, observed)
-        return fit_reweighted(model, train, noise, model.prior_mean[None], calibrated.loss)[0]
+        return fit_reweighted(model, train, noise, model.prior_mean[None], calibrated.fit.loss)[0]
 
     alone, without = fitted((*plain, *matching)), fitted(plain)
     rows, curves = [], []

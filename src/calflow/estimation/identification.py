@@ -48,7 +48,6 @@ class FittedEffects:
     noise: Noise
     steps: tuple[Accuracy, ...]
     lack: LackOfFit
-    loss: Loss
     starts: int
     agreeing: int
     left_out: LeftOut
@@ -70,7 +69,7 @@ class FittedEffects:
         """The calibrated model, from which later stages start."""
         return CalibratedModel(
             self.model, self.fit.estimate, self.fit.covariance, self.fit.at_bound, series_noise(self.noise),
-            self.noise.discrepancy, self.loss, self.errors, intraclass=self.noise.intraclass,
+            self.noise.discrepancy, self.fit.loss, self.errors, intraclass=self.noise.intraclass,
             needed=needed_conditions(self.model, self.fit.estimate, self.data), time_origin=self.data.time_origin,
         )  # fmt: skip
 
@@ -171,7 +170,7 @@ def fit_effects(
         doubts = doubts_of_residuals(device.only(data.train), lack, tuple(series.name for series in data.series))
         for doubt in doubts:
             say(doubt.words)
-    return FittedEffects(data, result, left, tuple(rows), lack, loss, starts, agree, out, errors, doubts)
+    return FittedEffects(data, result, left, tuple(rows), lack, starts, agree, out, errors, doubts)
 
 
 def too_few_equations(model: Model, train: Measurements) -> str:
