@@ -23,8 +23,8 @@ def errors(case, fitted):
 
 @pytest.fixture(scope="module")
 def calibrations():
-    """Calibrations of twelve robots whose poses shift three markers alike by twice the noise."""
-    drawn = [Case.drawn(SHARED, np.random.default_rng([21, k])) for k in range(12)]
+    """Calibrations of eight robots whose poses shift three markers alike by twice the noise."""
+    drawn = [Case.drawn(SHARED, np.random.default_rng([21, k])) for k in range(8)]
     return [(case, case.fitted()) for case in drawn]
 
 

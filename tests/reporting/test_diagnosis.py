@@ -291,29 +291,32 @@ def test_a_report_is_written_whatever_is_known(case: Case, tmp_path: Path) -> No
     assert ("It takes 0.040 mm off" in section) == bool(case.holdout)
 
 
-def test_the_report_is_set_with_causes_and_a_sampled_extended_model(small: Context, tmp_path: Path) -> None:
-    """Fails if typst refuses the section, or the posterior is not that of the extended model."""
+@pytest.fixture(scope="module")
+def reported(small: Context, tmp_path_factory: pytest.TempPathFactory) -> Context:
+    """A report, in the context's folder, of a deployed cause, a suspicion and something unexplained, sampled."""
     from calflow.stages.report import STAGE
 
-    given = with_sample(with_diagnosis(small, STEP, OR_HYSTERESIS, COUPLED))
-    STAGE.run(replace(given, folder=tmp_path))
-    assert (tmp_path / "report.pdf").read_bytes().startswith(b"%PDF")
-    drawn = {path.stem for path in (tmp_path / "figures").iterdir()}
+    given = with_diagnosis(small, OR_HYSTERESIS, replace(STEP, gain=(0.07, 0.05, 0.09)), COUPLED)
+    table = given.tables["diagnose/findings.csv"].assign(deployed=[True, False, False])
+    given = with_sample(replace(given, results=given.results | Results({"diagnose/findings.csv": table})))
+    given = replace(given, folder=tmp_path_factory.mktemp("reported"))
+    STAGE.run(given)
+    return given
+
+
+def test_the_report_is_set_with_causes_and_a_sampled_extended_model(reported: Context) -> None:
+    """Fails if typst refuses the section, or the posterior is not that of the extended model."""
+    assert (reported.folder / "report.pdf").read_bytes().startswith(b"%PDF")
+    drawn = {path.stem for path in (reported.folder / "figures").iterdir()}
     assert {"cause_1", "cause_2", "error_budget", "evidence", "error_distribution", "traces"} <= drawn
 
 
-def test_a_gain_is_the_same_wherever_it_is_printed(small: Context, tmp_path: Path) -> None:
+def test_a_gain_is_the_same_wherever_it_is_printed(reported: Context) -> None:
     """Fails if the terminal, the table, the PDF or the page tell another gain of a cause, or one of a suspicion."""
-    from calflow.stages.report import STAGE
-
-    given = with_diagnosis(small, BACKLASH, replace(STEP, gain=(0.07, 0.05, 0.09)))
-    table = given.tables["diagnose/findings.csv"].assign(deployed=[True, False])
-    given = replace(given, results=given.results | Results({"diagnose/findings.csv": table}))
-    STAGE.run(replace(given, folder=tmp_path))
-    pdf = "\n".join(pages_of((tmp_path / "report.pdf").read_bytes()))
-    html = (tmp_path / "report.html").read_text(encoding="utf-8")
-    (kept,) = [row for row in RunOutcome(given.results).findings if row.deployed]
-    texts = ("\n".join(last_lines(RunOutcome(given.results))), pdf, re.sub(r"<[^>]*>", " ", html))
+    pdf = "\n".join(pages_of((reported.folder / "report.pdf").read_bytes()))
+    html = (reported.folder / "report.html").read_text(encoding="utf-8")
+    (kept,) = [row for row in RunOutcome(reported.results).findings if row.deployed]
+    texts = ("\n".join(last_lines(RunOutcome(reported.results))), pdf, re.sub(r"<[^>]*>", " ", html))
     for text in texts:
         said = re.findall(r"takes\s+([\d.]+)\s+mm\s+off", text)
         assert set(said) == {f"{kept.gain_mean_mm:.3f}"}
