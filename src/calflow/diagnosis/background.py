@@ -127,14 +127,13 @@ def uneven_causes(fitted: Fitted, alone: Cause | None = None) -> list[np.ndarray
     poses, pose = np.unique(fitted.poses[fitted.problem.stacking.row], return_inverse=True)
     if len(poses) > FEW_POSES:
         return []
-    free = np.flatnonzero(~fitted.fit.at_bound)
-    regressors, value, unevenly = fitted.alone, fitted.fit.estimate[free], []
+    regressors, unevenly = fitted.alone, []
     for cause in fitted.causes:
-        columns = np.flatnonzero(np.isin(free, fitted.model.columns(cause)))
+        columns, value = fitted.own(cause)
         if not 0 < len(columns) <= FEW_AMPLITUDES:
             continue
         unit = regressors.precision[columns] ** -0.5
-        size = np.linalg.norm(value[columns] / unit) / np.sqrt(len(columns))
+        size = np.linalg.norm(value / unit) / np.sqrt(len(columns))
         share = USUAL**-0.5 if cause == alone else 1.0
         unevenly.append(each_pose(regressors.jacobian[:, columns] * (unit * size * share), pose))
     return unevenly
