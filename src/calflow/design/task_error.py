@@ -26,7 +26,7 @@ import scipy
 from calflow.design.discrimination import rows_like
 from calflow.design.planned import Measure, Planned, Task
 from calflow.diagnosis.fitted import Fitted
-from calflow.diagnosis.regressors import Regressors
+from calflow.diagnosis.regressors import Held, Regressors
 from calflow.diagnosis.screening import Catalogue, Screening
 from calflow.diagnosis.verdict import label
 from calflow.effects import Effect
@@ -126,11 +126,11 @@ class MissingEffects:
     def parameters(self, independent: float) -> tuple[np.ndarray, np.ndarray]:
         """Return mean (n_free,), relative to the estimate, and covariance (n_free, n_free) of the free parameters.
 
-        alone: size of an independent error of each row, relative to the noise.
+        independent: size of an independent error of each row, relative to the noise.
         """
-        r, level = self.screening.regressors, 1 + independent**2
-        covariance = np.linalg.inv(_information(r, level))
-        return -covariance @ _gradient(r, level), covariance
+        louder = _with_independent(self.screening.regressors, independent)
+        root = louder.root_covariance(np.arange(len(louder.change)))
+        return louder.change, root.T @ root
 
     def amplitude(self, lack: WeightedForm) -> tuple[np.ndarray, np.ndarray]:
         """Return posterior mean (n,) and covariance (n, n) of a lack's amplitudes, in their own units."""
@@ -203,23 +203,17 @@ def _likelihoods(seen: Screening[Cause], form: Form, sizes: np.ndarray) -> np.nd
 
 
 def _independent_likelihood(seen: Screening[Cause], size: float) -> float:
-    """Return the same for an independent error of each row, which is equivalent to larger noise."""
-    r, level = seen.regressors, 1 + size**2
-    information, gradient = _information(r, level), _gradient(r, level)
-    chi2 = float(r.residual @ r.residual / level + r.prior_rss - gradient @ np.linalg.solve(information, gradient))
-    spent = len(r.residual) * np.log(level) + np.linalg.slogdet(information)[1]
-    spent -= np.linalg.slogdet(_information(r, 1.0))[1]
-    return float(seen.chi2 - chi2 - spent) / 2
+    """Return the same for an independent error of each row."""
+    louder = _with_independent(seen.regressors, size)
+    spent = len(seen.regressors.residual) * float(np.log1p(size**2)) + louder.narrowed - seen.narrowed
+    return (seen.chi2 - louder.chi2 - spent) / 2
 
 
-def _information(r: Regressors[Cause], level: float) -> np.ndarray:
-    """Return the posterior information matrix of the free parameters, with the noise variance scaled by level."""
-    return np.asarray(r.products.fitted / level + np.diag(r.precision))
-
-
-def _gradient(r: Regressors[Cause], level: float) -> np.ndarray:
-    """Return the gradient of chi²/2 by the free parameters at the estimate."""
-    return np.asarray(r.products.fitted_left / level + r.pull)
+def _with_independent(regressors: Regressors[Cause], size: float) -> Screening[Cause]:
+    """Return the linearised model with an independent error of each row, which is equivalent to larger noise."""
+    scale, none = (1 + size**2) ** -0.5, Held(np.empty((len(regressors.residual), 0)))
+    alone = replace(regressors.moving(none), candidates=())
+    return Screening(replace(alone, residual=scale * alone.residual, jacobian=scale * alone.jacobian))
 
 
 @dataclass(frozen=True, eq=False)
