@@ -22,7 +22,7 @@ from calflow.effects import Effect
 from calflow.effects.base import Cause, parts
 from calflow.estimation.fit import Fit
 from calflow.estimation.least_squares import LeastSquares
-from calflow.estimation.probing import Probe, probed, side_by_side
+from calflow.estimation.probing import Probe, side_by_side
 
 WHITENED_ROWS = 256  # rows that are whitened at once
 SMALL_MODE = 0.02  # a mode's variance over the noise's, below which it changes no test
@@ -355,7 +355,7 @@ class Regressors(Generic[H]):
         n = len(model.parameters)
         probe = Probe.of(problem, fit.estimate, effects)
         tall = probe if math.prod(probe.shape) > HELD else None
-        left, slopes = probed(problem, fit.estimate, () if tall else effects)
+        left, slopes = (Probe.of(problem, fit.estimate, ()) if tall else probe).whole()
         left, slopes = problem.decorrelated(left), problem.decorrelated(slopes)
         if correlation is not None:
             correlation.whiten(left)
