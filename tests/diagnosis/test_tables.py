@@ -40,7 +40,7 @@ def diagnosis(last, **more):
     """A diagnosis that found no cause."""
     first = Linearisation.at(last, Catalogue((), {})).screened(np.random.default_rng(1))
     return Diagnosis(
-        last, Extended(last, (), (), first), DeployedCauses(last, ()), (), None, Catalogue((), {}), 0.01, **more
+        last, Extended(last, (), first), DeployedCauses(last, ()), (), None, Catalogue((), {}), 0.01, **more
     )
 
 

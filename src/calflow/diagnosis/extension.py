@@ -175,31 +175,19 @@ class FittedTrial(Trial[Cause]):
         return Amplitudes.of(offset, model.prior_sd[columns], self.fitted.fit.at_bound[columns], variants)
 
 
-def among(trail: Sequence[Fitted], causes: Sequence[Cause]) -> Fit:
-    """Return the fit with these causes from the trail, or a new fit started from its most similar model."""
-
-    def differing(fitted: Fitted) -> int:
-        missing = sum(cause not in fitted.causes for cause in causes)
-        return missing + sum(cause not in causes for cause in fitted.causes)
-
-    near = min(reversed(trail), key=differing)
-    return near.fit if same(near.causes, causes) else near.fit_with(causes)
-
-
 @dataclass(frozen=True)
 class Extended:
-    """The extended model, its findings, the models that the search fitted, and the first screening."""
+    """The extended model, its findings, and the first screening."""
 
     fitted: Fitted
     findings: tuple[Detection[Cause], ...]
-    trail: tuple[Fitted, ...]
     first: Screened[Cause]
 
     @cached_property
     def path(self) -> tuple[Fit, ...]:
         """The fits with the first causes, one per finding, fitted where the search has none, and the last."""
         causes = [finding.cause for finding in self.findings]
-        shorter = [among(self.trail, causes[:k]) for k in range(1, len(causes))]
+        shorter = [self.fitted.with_causes(causes[:k]).fit for k in range(1, len(causes))]
         return (*shorter, self.fitted.fit) if causes else ()
 
     def largest_first(self) -> Extended:
@@ -238,8 +226,7 @@ def extend(
 def extended(trial: Trial[Cause], every: list[Trial[Cause]], first: Screened[Cause]) -> Extended:
     """Return the result of a search, given its best trial and all trials."""
     best, tried = cast(tuple[FittedTrial, list[FittedTrial]], (trial, every))  # trials lead to trials of their own kind
-    trail = tuple(trial.fitted for trial in tried)
-    return Extended(best.fitted, verified(best, tried), trail, first)
+    return Extended(best.fitted, verified(best, tried), first)
 
 
 def weighed_against(extension: Extended, catalogue: Catalogue) -> Extended:
@@ -389,7 +376,7 @@ def weighed(
         beside = replace(now.fitted, background=left)
         if held in searched:
             trial = FittedTrial(first.family, first.degrees_of_freedom, beside, catalogue)
-            now = replace(extended(trial, [trial], first), trail=now.trail)
+            now = extended(trial, [trial], first)
             break
         # Once: where that gives way again, the search goes on beside the background.
         if held not in offered and (instead := _named_instead(now.fitted, left, basis, catalogue, search)):
