@@ -168,8 +168,22 @@ def errors(
 def leading_errors(model: Model, estimate: np.ndarray, measured: Measurements) -> np.ndarray:
     """Return the errors as `errors` does, those of each row in the leading unit of its series."""
     model, estimate = completed(model, estimate, measured)
-    errors = np.full((len(measured), _widest(model)), np.nan)
-    for seen in _observed_series(model, measured):
+    return _leading_errors(model, estimate, _observed_series(model, measured), len(measured))
+
+
+def errors_of_draws(model: Model, draws: np.ndarray, measured: Measurements) -> np.ndarray:
+    """Return the `errors` at each draw of the parameters (n_draws, n_parameters), shape (n_draws, n_rows, 3 or more)."""
+    if completed(model, draws[0], measured)[0] is not model:  # each draw places new sockets and sessions for itself
+        return np.array([errors(model, draw, measured) for draw in draws])
+    every = _observed_series(model, measured)  # once: to look them up takes longer than to evaluate them
+    values = np.array([_leading_errors(model, draw, every, len(measured)) for draw in draws])
+    _masked(values.swapaxes(0, 1), measured)
+    return values
+
+
+def _leading_errors(model: Model, estimate: np.ndarray, every: Sequence[_ObservedSeries], n_rows: int) -> np.ndarray:
+    errors = np.full((n_rows, _widest(model)), np.nan)
+    for seen in every:
         leading = _leading(seen.observation)
         error = model.observed_error(seen.observation, estimate, seen.conditions, seen.reported)
         turned = _turned(seen, model, estimate, error[:, leading, None])

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from calflow.estimation.accuracy import distances, errors, judged_unit
+from calflow.estimation.accuracy import distances, errors, errors_of_draws, judged_unit
 from calflow.estimation.calibrated_model import CalibratedModel, left_variance
 from calflow.estimation.parameters import UNIT
 from calflow.estimation.progress import Draws
@@ -227,7 +227,7 @@ def predictive_table(posterior: Posterior, rng: np.random.Generator) -> pd.DataF
     drawn = PosteriorDraws.of(posterior, DRAWS_KEPT, rng)
     model, level = drawn.calibrated.model, np.exp(drawn.values[:, -1])
     shifts = drawn.shifts(lambda model, estimate: errors(model, estimate, data))
-    by_parameters = np.array([errors(model, values, data) for values in drawn.values[:, :-1]])
+    by_parameters = errors_of_draws(model, drawn.values[:, :-1], data)
     centre = (by_parameters + shifts).mean(axis=0)
     deviation = by_parameters + shifts - centre
     covariance = np.einsum("dri,drj->rij", deviation, deviation) / max(len(deviation) - 1, 1)
