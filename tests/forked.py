@@ -22,6 +22,8 @@ LOADED = (
     "h5py",
     "typst",
     "arviz_stats",
+    "calflow.cli",
+    "scipy.signal",
 )
 
 

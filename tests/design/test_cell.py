@@ -19,7 +19,7 @@ from collisions import BIG, CASES, Outside
 from robots import frames as numpy_frames
 from robots import hh800, holding_torque, industrial, ur10
 
-NUMBER = 1000
+NUMBER = 400
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -45,7 +45,7 @@ def test_what_the_cell_allows_is_what_others_find(name):
 
 @pytest.mark.parametrize("name", ["industrial", "ur10"])
 def test_all_candidates_keep_to_the_cell(name):
-    """Fails if one of 1,000 candidates is in a collision or out of sight, or nobody is told what was refused by what."""
+    """Fails if one of 400 candidates is in a collision or out of sight, or nobody is told what was refused by what."""
     make, cell = CASES[name]
     robot, said = make(), []
     outside = Outside(robot, cell)

@@ -116,7 +116,7 @@ def test_points_are_found_to_parts_of_a_pixel(name, tmp_path):
     said = KINDS[name]
     flat, rng = flat_picture(said), np.random.default_rng(3)
     homographies = {}
-    for k, turned in enumerate((0.0, 0.5, 1.9, 3.1, -2.2)):
+    for k, turned in enumerate((0.5, 1.9, -2.2)):
         image, homographies[f"{k}.png"] = rendered(flat, turned, rng)
         cv2.imwrite(str(tmp_path / f"{k}.png"), image)
     found = detect_targets([tmp_path / name for name in homographies], written(tmp_path, **said))

@@ -325,7 +325,7 @@ def krl_meanings(place: str, lines: list[str], known, routine: str, code) -> lis
         if found := re.match(r"(?i)\s*FOR\s+(\w+)\s*=\s*(\d+)\s+TO\s+(\d+)", line):
             ways[found.group(1)] = [str(k) for k in range(int(found.group(2)), 1 + int(found.group(3)))]
         elif (found := re.match(r"\s*(\w+)\s*=\s*(\w+)\s*$", line)) and found.group(2).upper() in known:
-            ways.setdefault(found.group(1), []).append(found.group(2))
+            ways.setdefault(found.group(1).upper(), []).append(found.group(2))  # in whatever case it is written
     every = [place]
     for name, others in ways.items():
         if re.search(rf"(?i)\b{name}\b", place):

@@ -64,7 +64,7 @@ PROJECTS = {  # of which maker, and their files
 }  # fmt: skip
 MUTATIONS = 10  # of each project
 MUTATED = 2  # of each program, in one thing that means another
-HANDS = 2  # of each program, in several things that mean the same
+HANDS = 1  # of each program, in several things that mean the same
 STATES = {"RAPID": as_rapid, "KRL": as_krl, "FANUC": as_fanuc, "URScript": as_urscript}
 REMARK = {
     "RAPID": "! p10:=[[1,2,3],[1,0,0,0]];",
