@@ -12,6 +12,7 @@ from scipy.integrate import solve_ivp
 
 import robots
 from calflow.effects.housing_growth import HousingGrowth
+from calflow.effects.stand_growth import StandGrowth
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Row
 
@@ -69,3 +70,15 @@ def test_a_series_with_a_clock_of_its_own_has_its_own_pauses() -> None:
 
 def _rows(time: np.ndarray) -> Measurements:
     return Measurements(ROBOT, pd.DataFrame({"time": time, **{f"q{k + 1}": 0.0 * time for k in range(6)}}))
+
+
+def test_a_stand_is_where_it_was_left() -> None:
+    """Fails if later measurements are predicted in the frame that the device had at first, or will have when all has settled."""
+    data, row = _rows(300 * np.arange(40.0)), Row.symbols(ROBOT)
+    point, p = ca.SX([1.0, 2.0, 3.0]), ca.SX.sym("p", 6)
+    for stand in StandGrowth.variants(ROBOT, data):
+        moved = stand.device(p[: len(stand.declared)], point, row)
+        at = ca.Function("moved", [p, row.time], [moved])
+        amplitudes = np.full(6, 1e-3)
+        assert_allclose(at(amplitudes, data.table["time"].max()).full().ravel(), [1, 2, 3], rtol=1e-12)
+        assert np.abs(at(amplitudes, 0.0).full().ravel() - [1, 2, 3]).max() > 1e-4

@@ -208,14 +208,17 @@ def sagging_bar(bench: Bench) -> Twin:
 def stand(constant: float, turning: bool) -> Callable[[Bench], Twin]:
     """The simulator's stand bends in a drawn direction, or creeps otherwise: written here."""
     size = np.array([2e-5, -1e-5, 3e-5, 1e-5, -2e-5, 1.5e-5])[: 6 if turning else 3]
+    left = 0.0 if constant else 293.15  # when the stand is where it is without growth
     names = ("device.x", "device.y", "device.z", "device.rx", "device.ry", "device.rz")
 
     def moved(point: np.ndarray, rows: Rows) -> np.ndarray:
-        grown = -np.exp(-rows.time / constant) if constant else rows.temperature - 20
+        grown = 1 - np.exp(-rows.time / constant) if constant else rows.temperature - 20
         return point + grown[:, None] * (size[:3] + (np.cross(size[3:], point) if turning else 0))
 
     return lambda bench: Twin(
-        made(bench, "stand-growth", constant=constant, turning=turning), dict(zip(names, size, strict=False)), moved
+        made(bench, "stand-growth", constant=constant, turning=turning, left=left),
+        dict(zip(names, size, strict=False)),
+        moved,
     )
 
 

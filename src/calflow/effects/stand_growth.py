@@ -8,7 +8,7 @@ from typing import Self
 import casadi as ca
 
 from calflow.effects.base import OF_THE_FRAME, Words, displaced
-from calflow.effects.warming import Warming
+from calflow.effects.warming import REFERENCE, Warming
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Row
 from calflow.robot.parts import Parameter
@@ -20,12 +20,14 @@ BOUND = 100.0  # standard deviations
 
 @dataclass(frozen=True)
 class StandGrowth(Warming):
-    """Reported position + (x, y, z) g, and with turning + g r x position, where g is T - 20 degC or -exp(-t / constant).
+    """Reported position + (x, y, z) g, and with turning + g r x position, where g grows with T or with 1 - exp(-t / constant).
 
-    The model's frame is that at 20 degC, or of the settled stand: later measurements are in it.
+    g is zero at left, the mean temperature [K] or the last time [s] of the rows: the model's frame is that of the stand as it
+    was left, and later measurements are in it.
     """
 
     turning: bool = False
+    left: float = REFERENCE
 
     id = "stand-growth"
     title = "growth of the device's stand"
@@ -40,8 +42,23 @@ class StandGrowth(Warming):
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
         """Return growth with the temperature or with a grid of time constants, without and with rotation."""
-        shifting = super().variants(robot, data)
+        shifting = tuple(growth._as_left(data) for growth in super().variants(robot, data))
         return (*shifting, *(replace(growth, turning=True) for growth in shifting))
+
+    @classmethod
+    def stated(cls, robot: Robot, data: Measurements) -> Self:
+        """Return the growth with the temperature, from its mean on."""
+        return cls(robot)._as_left(data)
+
+    def _as_left(self, data: Measurements) -> Self:
+        if self.constant:
+            return replace(self, left=float(data.table["time"].max()))
+        return replace(self, left=float(data.table["temperature"].mean())) if "temperature" in data.given else self
+
+    @property
+    def variant(self) -> str:
+        """Short name of the form, without how it was left, which comes from the data."""
+        return super(StandGrowth, replace(self, left=0.0)).variant
 
     @property
     def detail(self) -> str:
@@ -67,5 +84,5 @@ class StandGrowth(Warming):
         grown = self.warmth(p, row)
         if not grown.nnz():
             return point
-        settled = p[:: len(self.symbols)] if self.constant else 0
-        return point + displaced(grown - settled, point)
+        as_left = replace(row, **{"time" if self.constant else "temperature": ca.SX(self.left)})
+        return point + displaced(grown - self.warmth(p, as_left), point)
