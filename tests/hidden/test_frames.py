@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pandas as pd
 import pytest
 
 from conftest import in_process
 from hidden.case import Case
 from hidden.causes import Hidden
-from hidden.test_hidden import CLOCK, case, found
+from hidden.test_hidden import CLOCK, case, found, only
 
 DAYS = (*CLOCK, "session")
 WARM = ("approach", "temperature")
 ONE_MOVE = Hidden("session-frame", 0, 2e-4, 3)
 JUMPS = Hidden("joint-step", 3, 2e-4)
 WARMS = Hidden("warm-zero", 2, 3e-4, "warm-up")
+IN_TIME = only(
+    "frame-drift", "frame-step", "session-frame", "joint-step", "tool-slip", "housing-growth", "thermal-growth", "joint-backlash"
+)  # what acts by time, session or temperature; that nothing else is taken for it, one case of each robot asks  # fmt: skip
 EVERY: dict[str, tuple[Case, str]] = {
     "session-frame": (case("serial", Hidden("session-frame", 0, 3e-4), columns=DAYS, poses=90), "each session"),
     "session-frame of one move": (case("hh800", ONE_MOVE, columns=DAYS, poses=90), "from session day 3 on"),
@@ -24,13 +29,11 @@ EVERY: dict[str, tuple[Case, str]] = {
         case("hh800", Hidden("stand-growth", 0, 4e-4, "settling"), columns=CLOCK, poses=90), "settling"
     ),
     "thermal-growth of one link": (case("serial", Hidden("link-growth", 2, 3e-4, "warm-up"), columns=CLOCK), "link 2"),
-    "housing-growth after a pause": (case("serial", WARMS, columns=CLOCK, pause=4 * 3600.0), "anew after each pause"),
     "housing-growth after a short one": (case("serial", WARMS, columns=CLOCK, pause=3600.0), "anew after each pause"),
     "housing-growth of a robot that was warm": (
         case("serial", Hidden("warm-zero", 3, 3e-4, 0.5), columns=CLOCK, pause=5 * 3600.0), "anew after each pause"
     ),
     "housing-growth of one day after another": (case("serial", WARMS, columns=DAYS, pause=18 * 3600.0), "turning its zero"),
-    "joint-step in a pause": (case("serial", JUMPS, columns=CLOCK, pause=4 * 3600.0), "after row 60"),
     "joint-step between two days": (case("hh800", JUMPS, columns=DAYS, pause=18 * 3600.0), "after row 60"),
     "housing-growth": (case("serial", Hidden("housing-growth", 2, 3e-5), columns=WARM), "joint 2"),
     "housing-growth of a zero": (case("serial", Hidden("warm-zero", 2, 3e-5), columns=WARM), "turning its zero"),
@@ -41,7 +44,8 @@ EVERY: dict[str, tuple[Case, str]] = {
 def test_every_cause_of_frames_is_found(name, tmp_path):
     """Fails if a session's frame or a wandering device is missed, taken for something else, or found in pieces."""
     hidden, detail = EVERY[name]
-    seen = found(tmp_path, hidden, 21)
+    whole = name in ("session-frame of one move", "housing-growth of a robot that was warm")
+    seen = found(tmp_path, hidden if whole else replace(hidden, settings=IN_TIME), 21)
     assert len(seen.causes) == 1, seen.causes
     first = seen.causes.iloc[0]
     assert first["cause"] == name.split()[0]
@@ -51,12 +55,12 @@ def test_every_cause_of_frames_is_found(name, tmp_path):
 
 def test_sessions_alone_are_no_cause(tmp_path):
     """Fails if frames of sessions, or anything else, are seen where each session stood as the first."""
-    assert found(tmp_path, case("serial", columns=DAYS, poses=90), 22).table.empty
+    assert found(tmp_path, case("serial", columns=DAYS, poses=90, settings=IN_TIME), 22).table.empty
 
 
 def test_a_session_that_was_not_named_is_taken_for_a_step_of_its_family(tmp_path):
     """Fails if a device that was moved once is called anything but its family's, where no session is told."""
-    seen = found(tmp_path, case("hh800", ONE_MOVE, columns=CLOCK, poses=90), 21)
+    seen = found(tmp_path, case("hh800", ONE_MOVE, columns=CLOCK, poses=90, settings=IN_TIME), 21)
     assert "frame-step" in seen.could_be(0), seen.causes
     tested = pd.read_csv(seen.folder / "diagnose" / "candidates.csv").set_index("cause")
     assert "column session" in tested.loc["session-frame", "note"]
