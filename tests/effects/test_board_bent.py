@@ -14,12 +14,13 @@ def bent(by: float) -> np.ndarray:
     return BOARD + np.column_stack([0 * x, 0 * x, by * (x**2 + 0.5 * x * y)])
 
 
-def test_a_plate_that_is_not_flat_is_findings_of(tmp_path):
-    """Fails if a bowed plate is missed, taken for another cause, or its height is not the plate's."""
-    only = findings_of(tmp_path, of_plate(11, bent(3e-4)))
-    assert [*only.index] == ["board-bent"]
-    assert only.loc["board-bent", "estimate"] == pytest.approx(
-        3e-4 * np.hypot(1, 0.5), abs=4 * only.loc["board-bent", "sd"]
-    )
-    assert only.loc["board-bent", "sd"] < 3e-5
-    assert only.loc["board-bent", "heldout_mean"] < 0.3
+def test_a_plate_that_is_not_flat_and_longer_one_way_is_findings_of(tmp_path):
+    """Fails if a bow or a stretched print (`print-scale`) is missed beside the other, taken for another cause, or of another size:
+    the plate's height, and how much longer the print is one way than the other.
+    """
+    both = findings_of(tmp_path, of_plate(11, bent(4e-4) * [1.0, 1.003, 1.0]))
+    assert {*both.index} == {"board-bent", "print-scale"}
+    for cause, size, sd in (("board-bent", 4e-4 * np.hypot(1, 0.5), 3e-5), ("print-scale", 3e-3, 3e-4)):
+        assert both.loc[cause, "estimate"] == pytest.approx(size, abs=4 * both.loc[cause, "sd"])
+        assert both.loc[cause, "sd"] < sd
+    assert both.loc["board-bent", "heldout_mean"] < 0.3

@@ -43,18 +43,17 @@ def moving(seed: int, late: float, rate: float = 0.0) -> Photographs:
     return made
 
 
-@pytest.mark.parametrize(("late", "rate"), [(5e-3, 0.0), (-30e-3, 2.0)])
-def test_an_image_that_was_taken_later_is_found(late, rate, tmp_path):
+def test_an_image_that_was_taken_earlier_is_found(tmp_path):
     """Fails if the offset is missed, taken for another cause, of another size or sign, or leaves out the acceleration."""
-    study(tmp_path, moving(3, late, rate), "ur5e", True, ONLY)
+    late = -30e-3
+    study(tmp_path, moving(3, late, rate=2.0), "ur5e", True, ONLY)
     assert in_process("run", tmp_path / "study.toml", "--out", tmp_path / "runs").code == 0
     found = pd.read_csv(tmp_path / "runs" / "diagnose" / "findings.csv").set_index("cause")
     assert [*found.index] == ["time-offset"]
     assert found.loc["time-offset", "status"] == "named"
     assert found.loc["time-offset", "estimate"] == pytest.approx(late, abs=4 * found.loc["time-offset", "sd"])
     assert found.loc["time-offset", "sd"] < 2e-4
-    if not rate:
-        rests_without_speeds(Calibration.load(tmp_path / "runs"))
+    rests_without_speeds(Calibration.load(tmp_path / "runs"))
 
 
 def test_an_image_at_the_right_moment_has_no_offset(tmp_path):

@@ -234,11 +234,11 @@ def test_an_outlier_is_beyond_heavy_tails(n):
 
 def test_rows_that_are_off_together_are_no_outliers(tmp_path):
     """Fails if a device that was bumped near the end, or half of all rows, are left out as outliers."""
-    data, _ = measured(tmp_path, Case(), 8)
+    data, _ = measured(tmp_path, Case(poses=75), 8)
     rng = np.random.default_rng(9)
-    assert examined(with_rows(data, np.arange(112, 120), np.array([5e-3, 1e-3, 0])))[1] == ()
-    assert examined(with_rows(data, np.arange(0, 120, 3), rng.normal(0, 5e-3, (40, 3))))[1] == ()
-    assert len(examined(with_rows(data, np.arange(0, 120, 24), rng.normal(0, 5e-3, (5, 3))))[1]) == 1
+    assert examined(with_rows(data, np.arange(69, 75), np.array([5e-3, 1e-3, 0])))[1] == ()
+    assert examined(with_rows(data, np.arange(0, 75, 3), rng.normal(0, 5e-3, (25, 3))))[1] == ()
+    assert len(examined(with_rows(data, np.arange(0, 75, 15), rng.normal(0, 5e-3, (5, 3))))[1]) == 1
 
 
 def test_a_handful_of_rows_says_nothing(tmp_path):

@@ -36,6 +36,9 @@ candidates = 100
 [settings.identify]
 starts = 1
 
+[settings.diagnose]
+catalogue = ["joint-eccentricity", "joint-backlash", "gear-ratio-error", "joint-step", "link-bending"]
+
 [settings.sample]
 max_steps = 50
 block = 25
