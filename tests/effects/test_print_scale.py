@@ -18,6 +18,5 @@ def test_a_print_that_is_too_large_all_over_is_not_told_from_longer_links(tmp_pa
     x, y = (k for k, parameter in enumerate(found.model.parameters) if parameter.effect == "print-scale")
     along = np.eye(len(found.estimate))[[x, y]]
     sd_x, sd_apart = (float(np.sqrt(way @ found.covariance @ way)) for way in (along[0], along[1] - along[0]))
-    print(found.estimate[[x,y]], sd_x, sd_apart)
     assert abs(found.estimate[y] - found.estimate[x]) < 4 * sd_apart < 1.2e-3
-    assert sd_x > 4 * sd_apart
+    assert sd_x > 10 * sd_apart
