@@ -34,7 +34,7 @@ VARIANTS = {  # how many forms there are to try, where not one
     "bearing-compliance": 2,
     "joint-hysteresis": 5,
     "joint-error-map": 3,
-    "tool-deflection": 3,
+    "tool-deflection": 4,
     "tool-sag": 3,
     "base-tilt": 3,
     "thermal-growth": 10,

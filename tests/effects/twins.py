@@ -186,6 +186,13 @@ def bracket(bench: Bench) -> Twin:
     return Twin(made(bench, "tool-deflection", shape="bracket"), values, hidden, soft=False)
 
 
+def adapter(bench: Bench) -> Twin:
+    """An adapter that is stiffer about y."""
+    hidden = Hidden("tool-adapter", 0, 3e-7)
+    values = {"tool.mx": hidden.size, "tool.my": 0.5 * hidden.size}
+    return Twin(made(bench, "tool-deflection", shape="adapter"), values, hidden, soft=False)
+
+
 def sagging_bracket(bench: Bench) -> Twin:
     """The same under its own weight."""
     hidden = Hidden("tool-sag", 0, 1e-4)
@@ -356,6 +363,7 @@ TWINS: dict[str, Callable[[Bench], Twin]] = {
     "tool-deflection, alike": tool_alike,
     "tool-deflection, by direction": tool_by_direction,
     "tool-deflection, bracket": bracket,
+    "tool-deflection, adapter": adapter,
     "tool-sag, bracket": sagging_bracket,
     "tool-sag, bar": sagging_bar,
     "thermal-growth, temperature": one("thermal-growth", "links.alpha", Hidden("thermal-growth", 0, 2.3e-5)),

@@ -57,6 +57,7 @@ USUAL = {
     "wander": (0, 1.2e-4, ""),
     "tool-sag": (0, 1e-4, ""),
     "tool-bracket": (0, 3e-7, ""),
+    "tool-adapter": (0, 1e-6, ""),
     "thermal-growth warm-up": (0, 1e-4, "warm-up"),
     "cantilever-bracket": (0, 3e-7, ""),
     "oblique-beam": (2, 5e-8, ""),

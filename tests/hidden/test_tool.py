@@ -18,6 +18,7 @@ CASES: dict[str, tuple[str, str, Case]] = {  # cause, what its detail says
     "bracket under its own weight": ("tool-sag", "flange's axis", case("serial", Hidden("tool-sag", 0, 1e-4))),
     "a marker's mount": ("tool-sag", "F", case("serial", Hidden("tool-sag", 0, 1e-4, "1"), markers=3, poses=50)),
     "bracket under the payload": ("tool-deflection", "turns", case("serial", Hidden("tool-bracket", 0, 3e-7))),
+    "adapter under the payload": ("tool-deflection", "adapter", case("serial", Hidden("tool-adapter", 0, 1e-6))),
     "base without masses": ("base-tilt", "by direction", case(
         "serial", SPRINGS, Hidden("base-compliance", 0, 2e-8, 0.3), effects=("geometry", "gravity-deflection"), masses=False)),
 }  # fmt: skip

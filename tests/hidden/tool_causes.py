@@ -35,6 +35,13 @@ def bracket(h: Hidden, robot: Robot, rows: Rows, state: State) -> Motion:
     return _moved(robot, rows, h.size * _across(weight, Z), h.size * 1.5 / LENGTH * np.cross(Z, weight))
 
 
+def adapter(h: Hidden, robot: Robot, rows: Rows, state: State) -> Motion:
+    """A thin adapter on the flange tilts by size [rad/Nm] under the payload's moment about it, half as much about y."""
+    weight = _in_flange(state, WEIGHT) * carried(robot, rows)[:, None]
+    moment = np.cross(robot.payload_com[rows.payload], weight)
+    return _moved(robot, rows, 0 * weight, h.size * np.array([1.0, 0.5, 0.0]) * moment)
+
+
 def tool_slip(h: Hidden, robot: Robot, rows: Rows, state: State) -> Motion:
     """The tool slips by size at one moment, in a drawn direction.
 
@@ -71,5 +78,6 @@ def _moved(robot: Robot, rows: Rows, shift: Array, turn: Array) -> Motion:
 ON_TOOL: dict[str, Callable[[Hidden, Robot, Rows, State], Motion]] = {
     "tool-sag": tool_sag,
     "tool-bracket": bracket,
+    "tool-adapter": adapter,
     "tool-slip": tool_slip,
 }

@@ -59,8 +59,6 @@ def test_the_summary_tells_whether_the_extended_fit_converged(fitted, converged)
     """Fails if identify's fit alone is asked, or the extended model's status is lost on the way."""
     last = replace(fitted, fit=replace(fitted.fit, converged=converged, status="Maximum_Iterations_Exceeded"))
     first = Linearisation.at(fitted, Catalogue((), {})).screened(np.random.default_rng(1))
-    found = Diagnosis(
-        fitted, Extended(last, (), first), DeployedCauses(last, ()), (), None, Catalogue((), {}), 0.01
-    )
+    found = Diagnosis(fitted, Extended(last, (), first), DeployedCauses(last, ()), (), None, Catalogue((), {}), 0.01)
     told = diagnosis_summary(found, SimpleNamespace(sigma=3e-5))
     assert (told.converged, told.solver.status) == (converged, "Maximum_Iterations_Exceeded")

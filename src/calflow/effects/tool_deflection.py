@@ -4,29 +4,38 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, Self
 
 import casadi as ca
 import numpy as np
 
 from calflow.effects.base import OF_THE_TOOL, Effect, Words, parts, payload_variable
+from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Deflection, Row, State
 from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
 
 GIVES_SD, GIVES_BOUND = 3e-7, 1e-5  # m/N
 TURNS_SD, TURNS_BOUND = 1e-6, 4e-5  # rad/N
+TILTS_SD, TILTS_BOUND = 3e-6, 1e-4  # rad/Nm: the same with the payload's centre at 0.3 to 0.4 m
 USUAL = 1e3  # N: typical weight of a payload of unknown mass
 
 TOOL = "tool"  # the part that carries all markers and deflects under payloads of known mass
-Shape = Literal["alike", "bracket", "direction"]
+Shape = Literal["alike", "adapter", "bracket", "direction"]
 ENTRIES = tuple(i if i == j else i + j for j in "xyz" for i in "xyz")  # of a matrix, column by column
 GIVES: dict[Shape, tuple[str, ...]] = {
     "alike": ("c",),
+    "adapter": (),
     "bracket": ("c",),
     "direction": tuple(f"c{ij}" for ij in ENTRIES),
 }
-TURNS: dict[Shape, tuple[str, ...]] = {"alike": (), "bracket": ("t",), "direction": tuple(f"t{ij}" for ij in ENTRIES)}
+TURNS: dict[Shape, tuple[str, ...]] = {
+    "alike": (),
+    "adapter": (),
+    "bracket": ("t",),
+    "direction": tuple(f"t{ij}" for ij in ENTRIES),
+}
+TILTS = ("mx", "my", "mz")  # of an adapter: rotations about the flange's axes by the moments about them
 
 
 def tools(robot: Robot) -> dict[str, int]:
@@ -59,7 +68,8 @@ class ToolDeflection(Effect):
     A bracket along the flange's z deflects across it alone and rotates by t |F| about z x F: for a cantilever of length L,
     t = 1.5 c/L (Euler-Bernoulli), so that markers farther out move farther. In a slanted or crooked bracket a force along one
     axis displaces along another, which the full matrices describe for any shape. A payload of unknown mass is a part of
-    its own, whose parameters are these compliances times its weight.
+    its own, whose parameters are these compliances times its weight. A thin adapter or flange rotates instead, by a compliance
+    times the moment of the payload about it: of payloads with centres at different distances, no matrix of weights says that.
     """
 
     shape: Shape = "alike"
@@ -68,6 +78,7 @@ class ToolDeflection(Effect):
     title = "tool deflection"
     forms = {
         "alike": "alike in all directions",
+        "adapter": "an adapter that tilts under the payload's moment",
         "bracket": "a bracket along the flange's axis, which turns",
         "direction": "by direction, which turns",
     }
@@ -101,6 +112,11 @@ class ToolDeflection(Effect):
         parameters = [parameter for part in self._known for parameter in self._declare(part, "/N", 1.0)]
         return (*parameters, *(parameter for part in self._unknown for parameter in self._declare(part, "", USUAL)))
 
+    @classmethod
+    def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
+        """Return the forms that have parameters: nobody knows the moment of a payload that was not weighed."""
+        return tuple(effect for effect in super().variants(robot, data) if effect.declared)
+
     def _declare(self, part: str, per: str, usual: float) -> Iterator[Parameter]:
         words = f"the tool's give under {part}" if part in self._unknown else f"the {part}'s give"
         lowest = 0.0 if self.shape == "bracket" else -1.0
@@ -110,6 +126,8 @@ class ToolDeflection(Effect):
         for symbol in TURNS[self.shape]:
             sd, bound = TURNS_SD * usual, TURNS_BOUND * usual
             yield Parameter(self.id, part, symbol, f"rad{per}", sd, lowest * bound, bound, meaning=f"{words}, its turn")
+        for symbol in TILTS if self.shape == "adapter" and part in self._known else ():
+            yield Parameter(self.id, part, symbol, "rad/Nm", TILTS_SD, 0.0, TILTS_BOUND, meaning=f"{words}, its tilt")
 
     def size(self, p: ca.SX) -> ca.SX:
         """Return the shift per weight: of a bracket, which may rotate alone, that of the farthest marker."""
@@ -121,6 +139,9 @@ class ToolDeflection(Effect):
         for part, values in parts(self).items():
             load = self._unknown.get(part)
             on = parts_known[part] if load is None else robot.payload_links[load]
+            if self.shape == "adapter":
+                link[3:, on] += p[values.tolist()] * state.link[3:, on]
+                continue
             weight = state.link[:3, on] if load is None else row.payload[load] * state.down[:, robot.tools.index(on)]
             link[:, on] += self._twist(p[values.tolist()], weight)
         return replace(still, link=link)
