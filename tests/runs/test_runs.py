@@ -390,6 +390,18 @@ def test_an_interrupted_run_says_how_to_go_on(small, finished):
     assert small.results() == finished.results()
 
 
+def test_an_interruption_that_comes_as_an_error_is_one(finished, monkeypatch):
+    """Fails if Ctrl-C during a conversion of CasADi's ends in the traceback of the SystemError that it makes of it."""
+
+    def save(self):
+        raise SystemError("returned a result with an exception set") from KeyboardInterrupt()
+
+    monkeypatch.setattr(Chain, "save", save)
+    answer = finished.calflow("run", "--stage", "sample", "--force")
+    assert (answer.code, answer.err.lstrip()) == (130, "interrupted: the same command resumes where it stopped\n")
+    assert reasons(finished)["sample"] == "did not finish last time (interrupted)"
+
+
 def test_a_chain_of_other_inputs_is_not_resumed(finished):
     """Fails if a run of changed measurements goes on from the chain of the old ones, also after an interruption."""
     finished.measure(finished.rows[:60])

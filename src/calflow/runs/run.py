@@ -146,8 +146,11 @@ def execute(
         made = stage.run(context)
     except BaseException as error:
         listener.stop(stage)
-        status = "interrupted" if isinstance(error, KeyboardInterrupt) else "failed"
+        converted = isinstance(error.__cause__, KeyboardInterrupt)  # CasADi makes a SystemError of Ctrl-C
+        status = "interrupted" if converted or isinstance(error, KeyboardInterrupt) else "failed"
         record(study, folder, stage, running.model_copy(update={"status": status}))
+        if converted:
+            raise KeyboardInterrupt from error
         raise
     write_results(work, made)
     files = [path for path in work.rglob("*") if path.is_file() and path.suffix != PART]
