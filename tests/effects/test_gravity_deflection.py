@@ -45,7 +45,7 @@ def left(robot: Robot, unknown: Robot, springs: np.ndarray, payloads: tuple[str,
         np.zeros(len(model.parameters)),
     )
     seen = np.arange(len(q)) % 4 > 0
-    for _ in range(2):
+    for _ in range(6):
         slope = model.position_jacobian(p, own[:, seen]).reshape(-1, len(p)) * model.prior_sd
         rest = (point[seen] - model.position(p, own[:, seen])).ravel()
         p = p + model.prior_sd * np.linalg.lstsq(slope, rest, rcond=1e-9)[0]
@@ -64,6 +64,13 @@ def test_a_payload_of_unknown_mass_has_a_figure_of_its_own():
     symbols = {parameter.symbol for parameter in GravityDeflection(unknown).declared}
     assert {"s", "s_load"} < symbols
     assert "s_light" not in symbols
+
+
+def test_the_centre_of_an_unweighed_payload_is_located():
+    """Breaks if an unweighed payload sits on the flange: what its moment does to the wrist was certain to be the tool's give."""
+    robot = weighed(industrial(), **LOADS)
+    unknown = replace(bare(robot), payloads=dict.fromkeys(LOADS, Payload(None)))
+    assert left(robot, unknown, SPRINGS, ("", "light", "load")) < 0.01
 
 
 def test_a_rule_of_masses_stands_for_most_of_a_real_arms_first_moments():

@@ -9,7 +9,7 @@ from typing import Literal, Self
 import casadi as ca
 import numpy as np
 
-from calflow.effects.base import WINDUP_BOUND, WINDUP_SD, Effect, Words, joint_variable
+from calflow.effects.base import WINDUP_BOUND, WINDUP_SD, Effect, Words, joint_variable, parts
 from calflow.effects.base_tilt import Arm
 from calflow.measurements.measurements import Measurements
 from calflow.robot.frames import apply
@@ -30,6 +30,8 @@ from calflow.robot.robot import Robot
 # Deflections [rad] by the first moments of the links next to the joint, and by those of the links beyond.
 NEAR_SD, FAR_SD, BOUND = 2e-3, 3e-4, 20e-3
 
+CENTRE_SD, CENTRE_BOUND = 0.1, 0.8  # m: of an unweighed payload's centre from where the robot file states it
+
 Shape = Literal["", "rule"]
 
 
@@ -39,9 +41,10 @@ class GravityDeflection(Effect):
 
     phi_i holds the first moments of link i and those beyond it, times gravity and the joint's compliance [rad]; the masses
     beyond a link are lumped at its end, so that the two components across the joint's axis suffice. Payloads of known mass
-    add s_i times their torque; one of unknown mass adds its moment arm, given by its centre, times a parameter of its own
-    [rad/m]: its weight times the joint's compliance. By the rule of `base_tilt`, each link half as heavy as the one before,
-    a single parameter stands for all first moments.
+    add s_i times their torque; one of unknown mass adds its moment arm times a parameter of its own [rad/m], its weight times
+    the joint's compliance. Who did not weigh a payload seldom knows its centre: its three coordinates, the same for all joints,
+    are parameters too. By the rule of `base_tilt`, each link half as heavy as the one before, a single parameter stands for
+    all first moments.
     """
 
     shape: Shape = ""
@@ -86,6 +89,11 @@ class GravityDeflection(Effect):
                 )
                 for symbol, load in zip(self._unknown, unknown, strict=True)
             ]
+        forms += [
+            Parameter(self.id, f"payload {name}", axis, "m", CENTRE_SD, -CENTRE_BOUND, CENTRE_BOUND,
+                      meaning=f"{axis} of the centre of payload {name}")
+            for name in unknown for axis in "xyz"
+        ]  # fmt: skip
         return tuple(forms)
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
@@ -93,18 +101,20 @@ class GravityDeflection(Effect):
         robot, n = self.robot, self.robot.n_joints
         turn = ca.SX.sym("dq", n)
         at = pose(robot, nominal_dimensions(robot), row.q, replace(Deflection.zero(n), joint=turn))
-        pulled = self._pulled(at, row)
+        pulled = self._pulled(at, row, p)
         slopes = ca.substitute(ca.jacobian(ca.vertcat(*pulled.values()), turn), turn, ca.SX.zeros(n, 1))
         rows = {symbol: k for k, symbol in enumerate(pulled)}
         turned = [ca.SX(0)] * n
         for k, parameter in enumerate(self.declared):
-            i = parameter.joint - 1
-            turned[i] += p[k] * slopes[rows[parameter.symbol], i]
+            if parameter.joint:
+                i = parameter.joint - 1
+                turned[i] += p[k] * slopes[rows[parameter.symbol], i]
         return replace(still, joint=ca.vertcat(*turned))
 
-    def _pulled(self, at: Posture, row: Row) -> dict[str, ca.SX]:
+    def _pulled(self, at: Posture, row: Row, p: ca.SX) -> dict[str, ca.SX]:
         """Return, by parameter symbol, the negative potential energy per unit of it: its joint gradient is the regressor."""
         down, loads = at.down(self.robot), nominal_loads(self.robot)
+        centres = self._centres(p, loads.payload_com)
         none = replace(loads, mass=0 * loads.mass, bar_mass=0 * loads.bar_mass)
         moments = {
             f"phi{k + 1}{'xy'[axis]}": ca.dot(down, frame[:3, axis])
@@ -113,11 +123,18 @@ class GravityDeflection(Effect):
         }
         heavy = {
             symbol: row.payload[k]
-            * ca.dot(down, apply(at.frame(self.robot, self.robot.payload_links[k]), loads.payload_com[:, k]))
+            * ca.dot(down, apply(at.frame(self.robot, self.robot.payload_links[k]), centres[:, k]))
             for symbol, k in self._unknown.items()
         }
         by_rule = {"t": ca.dot(down, Arm.of(self.robot).first_moment(at))} if self.shape else {}
         return moments | by_rule | {"s": -potential_energy(self.robot, none, row, at)} | heavy
+
+    def _centres(self, p: ca.SX, stated: ca.SX) -> ca.SX:
+        """Return the payloads' centres, those of unknown mass shifted from where the robot file states them."""
+        centres, own, names = ca.SX(stated), parts(self), list(self.robot.payloads)
+        for k in self._unknown.values():
+            centres[:, k] += p[own[f"payload {names[k]}"].tolist()]
+        return centres
 
     def finer(self, data: Measurements) -> tuple[Self, ...]:
         """Return the form without the rule, which may prove better beside other causes."""
