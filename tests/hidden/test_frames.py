@@ -18,7 +18,7 @@ ONE_MOVE = Hidden("session-frame", 0, 2e-4, 3)
 JUMPS = Hidden("joint-step", 3, 2e-4)
 WARMS = Hidden("warm-zero", 2, 3e-4, "warm-up")
 IN_TIME = only(
-    "frame-drift", "frame-step", "session-frame", "joint-step", "tool-slip", "housing-growth", "thermal-growth", "joint-backlash"
+    "frame-drift", "frame-step", "stand-growth", "session-frame", "joint-step", "tool-slip", "housing-growth", "thermal-growth"
 )  # what acts by time, session or temperature; that nothing else is taken for it, one case of each robot asks  # fmt: skip
 EVERY: dict[str, tuple[Case, str]] = {
     "session-frame": (case("serial", Hidden("session-frame", 0, 3e-4), columns=DAYS, poses=90), "each session"),
