@@ -10,7 +10,7 @@ import pytest
 
 from calflow.diagnosis.screening import Family
 from calflow.diagnosis.stepwise import Detection
-from calflow.diagnosis.verdict import MOST_FITTED, Rival, fitted_alternatives, verdict
+from calflow.diagnosis.verdict import MOST_FITTED, ModelInReach, Rival, fitted_alternatives, verdict
 from calflow.effects.base import UNEXPLAINED, Cause
 from calflow.estimation.calibrated_model import Alternative, choice_errors
 from calflow.estimation.model_tables import AlternativeParameter, _alternatives, alternatives_table
@@ -53,6 +53,22 @@ def test_rivals_are_fitted_in_the_causes_place(final):
     (likelier,) = fitted_alternatives([judged(ratio(-8.0))], final)
     assert likelier.probability == pytest.approx(1 / (1 + np.exp(-4.0)))  # a rival may be likelier than what was named
     assert len(fitted_alternatives([judged(*[ratio(0.1)] * (MOST_FITTED + 2))], final)) == MOST_FITTED
+
+
+def test_a_probable_cause_beside_those_found_is_an_alternative(final):
+    """Fails if a cause too small to be named shifts no prediction, or one does that hardly anything speaks for."""
+    found = ModelInReach((ECCENTRIC,), "found", 0.0, 0.0)
+    probable, improbable = (
+        ModelInReach((ECCENTRIC, cause("gear-ratio-error", f"joint{joint}")), "besides", 0.0, weight)
+        for joint, weight in ((3, 0.5), (4, -4.0))
+    )
+    (other,) = fitted_alternatives([judged()], final, in_reach=(found, probable, improbable))
+    assert [(c.id, c.joint) for c in other.model.effects if isinstance(c, Cause)] == [
+        ("joint-eccentricity", 2),
+        ("gear-ratio-error", 3),
+    ]
+    assert (other.gone, other.rival) == (None, probable.causes[-1])
+    assert other.probability == pytest.approx(np.exp(0.5) / (1 + np.exp(0.5) + np.exp(-4.0)))
 
 
 @pytest.mark.parametrize("used", [True, False])

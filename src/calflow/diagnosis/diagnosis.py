@@ -272,8 +272,10 @@ def search_causes(
         say(f"{words(suspect.finding.cause)} remains a suspicion: it does not help at poses left out")
     ordered = tuple(verdict.finding for verdict in (*kept.deployed, *kept.suspected))
     extended = replace(extended, findings=ordered)
+    in_reach = models_in_reach(
+        extended.fitted, extended.findings, beside, every, [suspect.finding for suspect in kept.suspected]
+    )
     return Diagnosis(start, extended, kept, suspected(left, beside), grown, wanted, acceptance.false_alarm,
                      misfit(extended.fitted, rng("misfit")), capped=len(ordered) >= causes,
-                     alternatives=fitted_alternatives(kept.deployed, extended.fitted, kept.suspected),
-                     in_reach=models_in_reach(extended.fitted, extended.findings, beside, every,
-                                              [suspect.finding for suspect in kept.suspected]))  # fmt: skip
+                     alternatives=fitted_alternatives(kept.deployed, extended.fitted, kept.suspected, in_reach),
+                     in_reach=in_reach)  # fmt: skip

@@ -28,6 +28,7 @@ from calflow.diagnosis.screening import Catalogue, Score
 from calflow.diagnosis.stepwise import REACH, WITHIN, Detection
 from calflow.effects.base import UNEXPLAINED, Cause, NamedCause
 from calflow.estimation.calibrated_model import MANY, Alternative
+from calflow.estimation.leverage import UNSURE
 from calflow.files.deferred import pd
 from calflow.files.tables import column, to_frame
 
@@ -144,11 +145,12 @@ def label(cause: str, joint: int) -> str:
 
 
 def fitted_alternatives(
-    verdicts: Sequence[Verdict], final: Fitted, suspected: Sequence[Verdict] = ()
+    verdicts: Sequence[Verdict], final: Fitted, suspected: Sequence[Verdict] = (), in_reach: Sequence[ModelInReach] = ()
 ) -> tuple[Alternative, ...]:
     """Return models with the likeliest rivals fitted in the causes' places, one at a time, except untestable rivals.
 
-    Causes that are suspected, and so not in the model to be used, and their rivals are further alternatives.
+    Causes that are suspected, and so not in the model to be used, and their rivals are further alternatives, as are probable
+    causes beside those found: too small to be named for certain, they shift predictions all the same.
     """
     asked: list[tuple[float, Cause | None, Cause | None]] = [
         (_probability(verdict, rival), verdict.finding.cause, rival.cause)
@@ -161,6 +163,11 @@ def fitted_alternatives(
         asked += [
             (_probability(verdict, rival), None, rival.cause) for rival in verdict.rivals if rival.cause is not None
         ]
+    asked += [
+        (probability, None, model.causes[-1])
+        for model, probability in zip(in_reach, probabilities(in_reach).tolist(), strict=True)
+        if model.change == "besides" and probability > UNSURE
+    ]
     likeliest = sorted((other for other in asked if other[0] >= NEGLIGIBLE), key=lambda other: -other[0])[:MOST_FITTED]
     alternatives = []
     for probability, gone, rival in likeliest:
