@@ -37,6 +37,7 @@ class StandGrowth(Warming):
     readable = {"m/K": (1e6, "µm per °C"), "rad/K": (1e6, "µrad per °C")}
     whole = "device"
     family = OF_THE_FRAME
+    taken_for = ()  # what it is mistaken for is of its family
     told_by = "measure points fixed to the floor from time to time"
 
     @classmethod

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import ClassVar, Self
 
 import casadi as ca
 import numpy as np
@@ -31,7 +31,7 @@ class Warming(Effect):
     pauses: tuple[tuple[float, float], ...] = ()
 
     shown_by = "warmth"
-    taken_for = ("frame-drift",)
+    taken_for: ClassVar[tuple[str, ...]] = ("frame-drift",)
     told_by = "measure some poses again when the robot is cold"
 
     @classmethod
