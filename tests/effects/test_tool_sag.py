@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from numpy.testing import assert_allclose
 from calflow.effects.tool_deflection import ToolDeflection
 from calflow.effects.tool_sag import ToolSag
 from calflow.model import Model
+from calflow.robot.parts import Payload
 from robots import industrial, poses, rows, tool_rotation
 
 POINTS = {"E": {"point_m": [0.05, -0.03, 0.12]}, "F": {"point_m": [0.3, 0.1, 0.4]}, "tool": {"point_m": [0, 0, 0.2]}}
@@ -58,6 +61,17 @@ def test_a_bracket_that_turns_alone_has_a_size(effect):
     bracket = effect(robot, {ToolSag: "cantilever", ToolDeflection: "bracket"}[effect])
     farthest = np.linalg.norm(POINTS["F"]["point_m"])
     assert_allclose(float(ca.evalf(bracket.size(ca.SX([0.0, 2e-4])))), 2e-4 * farthest)
+
+
+def test_an_adapter_may_tilt_as_far_on_a_small_arm():
+    """Fails if an adapter is as stiff a priori on an arm for 5 kg as on one for 500, or a payload on the flange tilts one."""
+    robot = industrial()
+    small, large, none = (
+        ToolDeflection(replace(robot, payloads={"load": Payload(mass, (0.0, 0.0, lever))}), "adapter").declared
+        for mass, lever in ((5.0, 0.2), (500.0, 0.2), (50.0, 0.0))
+    )
+    assert_allclose(small[0].upper, 100 * large[0].upper)
+    assert not none
 
 
 def test_any_matrix_moves_one_axis_across_another():

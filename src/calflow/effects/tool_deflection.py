@@ -17,7 +17,7 @@ from calflow.robot.robot import Robot
 
 GIVES_SD, GIVES_BOUND = 3e-7, 1e-5  # m/N
 TURNS_SD, TURNS_BOUND = 1e-6, 4e-5  # rad/N
-TILTS_SD, TILTS_BOUND = 3e-6, 1e-4  # rad/Nm: the same with the payload's centre at 0.3 to 0.4 m
+TILT_SD, TILT_BOUND = 2e-3, 20e-3  # rad at the largest moment of a payload about its flange
 USUAL = 1e3  # N: typical weight of a payload of unknown mass
 
 TOOL = "tool"  # the part that carries all markers and deflects under payloads of known mass
@@ -59,6 +59,12 @@ def reach(robot: Robot) -> float:
         if link in robot.tools
     ]
     return max((float(np.linalg.norm(point)) for point in points), default=0.0)
+
+
+def largest_moment(robot: Robot) -> float:
+    """Return the largest moment [Nm] of a payload of known mass about the flange; 0 if no payload has a lever."""
+    levers = [load.mass * float(np.linalg.norm(load.com)) for load in robot.payloads.values() if load.mass]
+    return float(np.linalg.norm(robot.gravity)) * max(levers, default=0.0)
 
 
 @dataclass(frozen=True)
@@ -114,7 +120,7 @@ class ToolDeflection(Effect):
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
-        """Return the forms that have parameters: nobody knows the moment of a payload that was not weighed."""
+        """Return the forms that have parameters: nobody knows the moment of a payload of unknown mass or centre."""
         return tuple(effect for effect in super().variants(robot, data) if effect.declared)
 
     def _declare(self, part: str, per: str, usual: float) -> Iterator[Parameter]:
@@ -126,8 +132,10 @@ class ToolDeflection(Effect):
         for symbol in TURNS[self.shape]:
             sd, bound = TURNS_SD * usual, TURNS_BOUND * usual
             yield Parameter(self.id, part, symbol, f"rad{per}", sd, lowest * bound, bound, meaning=f"{words}, its turn")
-        for symbol in TILTS if self.shape == "adapter" and part in self._known else ():
-            yield Parameter(self.id, part, symbol, "rad/Nm", TILTS_SD, 0.0, TILTS_BOUND, meaning=f"{words}, its tilt")
+        if self.shape == "adapter" and part in self._known and (largest := largest_moment(self.robot)):
+            for symbol in TILTS:
+                sd, bound = TILT_SD / largest, TILT_BOUND / largest
+                yield Parameter(self.id, part, symbol, "rad/Nm", sd, 0.0, bound, meaning=f"{words}, its tilt")
 
     def size(self, p: ca.SX) -> ca.SX:
         """Return the shift per weight: of a bracket, which may rotate alone, that of the farthest marker."""
