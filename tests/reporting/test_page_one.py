@@ -12,8 +12,7 @@ from calflow.deployment.run_outcome import RunOutcome
 from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.estimation.certainty import Certainty
 from calflow.estimation.identifiability import scale_words
-from calflow.files.tables import from_document
-from calflow.reporting.sections import verdict
+from calflow.files.tables import from_document, to_document
 from calflow.reporting.sections.verdict import VERDICT_SECTION, next_steps
 from calflow.reporting.sections.verdict import tested_words as words_of
 from calflow.reporting.style import style
@@ -81,11 +80,13 @@ def test_what_cannot_be_told_is_short(small: Context, wholly: bool) -> None:
 
 
 @pytest.mark.parametrize(("later", "said"), [(0.09, True), (0.06, False)])
-def test_a_calibration_that_will_not_last_says_so(small: Context, monkeypatch, later: float, said: bool) -> None:
+def test_a_calibration_that_will_not_last_says_so(small: Context, later: float, said: bool) -> None:
     """Fails if page one is silent where the error promised a day later is much larger, or speaks of it where it is not."""
-    monkeypatch.setattr(verdict, "then_and_later", lambda *_: [("then", 0.05), ("a day later", later)])
     given = with_diagnosis(small)
-    shown = page_one(report_material(given.study, given.results, given.run_folder))
+    certainty = given.results.document("diagnose/certainty.json", Certainty)
+    document = to_document(replace(certainty, expected_mm=(0.05, 0.055, later)))
+    results = replace(given.results, documents={**given.results.documents, "diagnose/certainty.json": document})
+    shown = page_one(report_material(given.study, results, given.run_folder))
     sentences = [text for text in shown if text.startswith("When: the promised error grows from 0.050 to 0.090 mm")]
     assert len(sentences) == said
     assert unreadable(shown) == []

@@ -24,6 +24,7 @@ from calflow.measurements.measurements import Measurements
 
 # Mean length of a vector of 0 to 3 standard normals.
 MEAN_OF_NOISE = np.sqrt(np.array([0, 2, np.pi / 2, 8]) / np.array([1, np.pi, 1, np.pi]))
+LATER = (3600.0, 86400.0)  # s, after the last row
 PROMISED = 0.95  # probability that an error is below its limit
 MISSED = 2  # times the 95 % limit, which normal errors exceed once in ten thousand rows at most
 WORST = 50  # poses, those with the largest errors, that are compared with it
@@ -74,6 +75,11 @@ class Certainty:
         "share of the measured rows at which the predicted error is no smaller than the correction of the nominal position",
         default=0.0,
     )
+    expected_mm: tuple[float, ...] = column(
+        "root mean square error expected at the fitted poses: then, an hour later and a day later; empty without times",
+        "mm",
+        default=(),
+    )
     missed: tuple[MissedPose, ...] = column(
         "poses whose error is far beyond its 95 % limit: pose, line, split, error, limit", default=()
     )
@@ -111,8 +117,21 @@ class Certainty:
             reach_m=(float(reach.min()), float(reach.max())),
             heights_m=(float(place[:, 2].min()), float(place[:, 2].max())), tested=len(tested), within=int(below.sum()),
             within_chance=float(scipy.special.betainc(beyond, poses - beyond + 1, 1 - PROMISED)) if beyond else 1.0,
-            no_gain=_no_gain(calibrated, data), missed=missed_poses(calibrated, data, residuals, distance),
+            no_gain=_no_gain(calibrated, data), expected_mm=then_and_later(calibrated, data),
+            missed=missed_poses(calibrated, data, residuals, distance),
         )  # fmt: skip
+
+
+def then_and_later(calibrated: CalibratedModel, data: Measurements) -> tuple[float, ...]:
+    """Return the expected errors [mm] at fitted rows: then, an hour and a day after the last; none without times."""
+    if "time" not in calibrated.model.given:
+        return ()
+    fitted = data.only(data.train)
+    rows = fitted.only(representative(fitted)).stating(calibrated.model.given)
+    end = float(fitted.table["time"].max())
+    moments = (rows, *(replace(rows, table=rows.table.assign(time=end + seconds)) for seconds in LATER))
+    errors = (promised_distance(calibrated, moment.conditions) for moment in moments)
+    return tuple(1e3 * float(np.sqrt((error**2).mean())) for error in errors)
 
 
 def tested_rows(calibrated: CalibratedModel, data: Measurements, error: np.ndarray) -> pd.DataFrame:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -28,7 +28,6 @@ from calflow.reporting.section import Section
 from calflow.reporting.style import crowded, panels, root_mean_square, shade, shades
 
 DRAWN_POSES = 600  # drawn within the joints' limits, or in a region
-LATER = {"an hour later": 3600.0, "a day later": 86400.0}  # s, after the measurement
 MEASURED, STATED = "that were measured", "in the study's region"
 CAPTION = (
     "Expected error at {poses} drawn at random within the joints' limits (root mean square): the darker, the larger; from the "
@@ -117,20 +116,6 @@ def _promised_at(calibrated: CalibratedModel, conditions: np.ndarray, outside: n
     return Promised(expected_point(calibrated, conditions), error, moved, outside, where)
 
 
-def then_and_later(calibrated: CalibratedModel, data: Measurements) -> list[tuple[str, float]]:
-    """Return the expected error [mm] at the measured poses when they were measured, and later; empty where no time is known."""
-    if "time" not in calibrated.model.given:
-        return []
-    rows = data.only(data.train).stating(calibrated.model.given)
-    end = float(rows.table["time"].max())
-    moments = {
-        "then": rows,
-        **{when: replace(rows, table=rows.table.assign(time=end + seconds)) for when, seconds in LATER.items()},
-    }
-    errors = {when: promised_distance(calibrated, moment.conditions) for when, moment in moments.items()}
-    return [(when, 1e3 * root_mean_square(error)) for when, error in errors.items()]
-
-
 def from_the_side(material: Material, place: np.ndarray) -> np.ndarray:
     """Return the distance from the first axis and the height of places (n, 3) [m], shape (n, 2)."""
     base = np.array(material.calibrated.model.robot.base.origin)
@@ -210,7 +195,8 @@ def _region(material: Material) -> list[Block]:
 def _validity(material: Material) -> list[Block]:
     """State and draw the expected errors within the joints' limits, and state those later on."""
     shown = Promised.of(material.calibrated, material.data)
-    moments = ", ".join(f"{mm(error)} mm {when}" for when, error in then_and_later(material.calibrated, material.data))
+    when = zip(material.certainty.expected_mm, ("then", "an hour later", "a day later"), strict=False)
+    moments = ", ".join(f"{mm(error)} mm {moment}" for error, moment in when)
     caption = CAPTION.format(poses=plural(len(shown.place), "pose"))
     return [
         Paragraph(shown.words, keep=True),

@@ -48,7 +48,7 @@ from calflow.reporting.sections.acceptance import (
     verdict_card,
 )
 from calflow.reporting.sections.task import answer
-from calflow.reporting.sections.validity import promises, then_and_later
+from calflow.reporting.sections.validity import promises
 from calflow.reporting.style import ACCENT, DARK, LIGHT, figure, mark_floor
 
 NOISE_UNKNOWN = "its noise is not known, so its share of the error is not known either"
@@ -156,11 +156,11 @@ def how_sure(material: Material) -> list[tuple[str, str]]:
 
 def _when(material: Material) -> list[tuple[str, str]]:
     """Return a sentence on the errors a day later, if the calibration does not promise to hold so long."""
-    if not promises(material) or not (moments := then_and_later(material.calibrated, material.data)):
+    moments = material.certainty.expected_mm
+    if not (moments and promises(material) and moments[-1] > LASTING * moments[0]):
         return []
-    (_, then), *_, (day, later) = moments
-    promised = f"the promised error grows from {mm(then)} to {mm(later)} mm {day}, as device or robot may change."
-    return [("When:", promised)] if later > LASTING * then else []
+    grows = f"from {mm(moments[0])} to {mm(moments[-1])} mm a day later"
+    return [("When:", f"the promised error grows {grows}, as device or robot may change.")]
 
 
 def where_words(certainty: Certainty) -> str:
