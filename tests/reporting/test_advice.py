@@ -373,6 +373,17 @@ def test_a_tool_that_may_be_as_far_off_as_before_is_not_called_calibrated() -> N
     assert judgement(results({**QUIET, **of_images, **promised(57, 0.65, no_gain=1.0)})).startswith("Calibrated")
 
 
+def test_of_many_rivals_the_likeliest_are_asked_about() -> None:
+    """Fails if eighty rivals are eighty sentences, or those left out are not told of."""
+    tables = {
+        "diagnose/findings.csv": found("one_of"),
+        "diagnose/separations.csv": pd.concat([separations(0.0, f"look at {means}") for means in "aabcdee"]),
+    }
+    told = [item.sentence for item in ranked.other_means(results({**QUIET, **tables}))]
+    assert [sentence.rsplit("? ")[-1] for sentence in told[:-1]] == ["Look at a.", "Look at b.", "Look at c."]
+    assert told[-1].startswith("Further rivals are left, 3 in all: diagnose/separations.csv")
+
+
 def test_every_rule_is_tested() -> None:
     assert {rule for rules in RULES.values() for rule in rules} == {rule for rule, *_ in SPEAKS}
 

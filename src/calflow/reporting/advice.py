@@ -51,6 +51,7 @@ LACKS = 1.5  # lack of fit, in units of the noise, above which it is reported
 TOO_GOOD = 0.7  # residuals over the stated noise, below which the stated noise is doubted
 WORSE = 1.5  # ratio of held-out to training mean error above which the model does not generalise
 HOLDING_OUT = 0.35  # of the equations, below which they stay twice the parameters without three poses in ten
+ASKED_ABOUT = 3  # means to distinguish rivals, those of the likeliest first
 TOLD = 4  # faults on the first page, those with most rows first
 LOAD_DRIVEN = ("rad/Nm", "m/N")  # units of parameters that only a load reveals
 ISOLABILITY_TABLE = "select/isolability.csv"
@@ -358,10 +359,13 @@ def other_means(outcome: RunOutcome) -> list[Advice]:
         if row.chance_after < ENOUGH and row.rival != UNEXPLAINED and (row.cause, row.joint) in open_:
             name = cause_name(row.cause, row.joint)
             rivals.setdefault((name, row.means), []).append(cause_name(row.rival, row.rival_joint))
-    return [
+    questions = [
         Advice(3, f"Is it {own} or {listed(names, 2)}? {first_up(what)}.", poses=0)
         for (own, what), names in rivals.items()
     ]
+    further = sum(len(names) for names in list(rivals.values())[ASKED_ABOUT:])
+    left = f"Further rivals are left, {further} in all: diagnose/separations.csv has what distinguishes each."
+    return [*questions[:ASKED_ABOUT], *([Advice(3, left, poses=0)] if further else [])]
 
 
 def cause_names(causes: tuple[str, ...], joints: tuple[int, ...]) -> list[str]:
