@@ -374,9 +374,6 @@ def weighed(
             now = replace(now, fitted=beside_background(now.fitted, basis))
         left = background(now.fitted, basis)
         beside = replace(now.fitted, background=left)
-        if left is None and not (beside.shared or start.intraclass) and held == frozenset(extension.fitted.causes):
-            now = replace(extension, fitted=beside)  # the search was beside nothing else
-            break
         if held in searched:
             trial = FittedTrial(first.family, first.degrees_of_freedom, beside, catalogue)
             now = extended(trial, [trial], first)

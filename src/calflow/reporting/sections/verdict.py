@@ -48,7 +48,6 @@ from calflow.reporting.sections.acceptance import (
     verdict_card,
 )
 from calflow.reporting.sections.task import answer
-from calflow.reporting.sections.validity import promises
 from calflow.reporting.style import ACCENT, DARK, LIGHT, figure, mark_floor
 
 NOISE_UNKNOWN = "its noise is not known, so its share of the error is not known either"
@@ -157,7 +156,7 @@ def how_sure(material: Material) -> list[tuple[str, str]]:
 def _when(material: Material) -> list[tuple[str, str]]:
     """Return a sentence on the errors a day later, if the calibration does not promise to hold so long."""
     moments = material.certainty.expected_mm
-    if not (moments and promises(material) and moments[-1] > LASTING * moments[0]):
+    if material.summary.new_poses_mm is None or not moments or moments[-1] < LASTING * moments[0]:
         return []
     grows = f"from {mm(moments[0])} to {mm(moments[-1])} mm a day later"
     return [("When:", f"the promised error grows {grows}, as device or robot may change.")]
