@@ -79,6 +79,14 @@ def test_what_cannot_be_told_is_short(small: Context, wholly: bool) -> None:
     assert unreadable(said) == []
 
 
+def test_a_stage_without_results_is_told(small: Context) -> None:
+    """Fails if a report of identify alone, diagnosis being outdated, looks like one of the study's whole workflow."""
+    material = report_material(small.study, small.results, small.run_folder)
+    line = "without the stage diagnose: not run, or outdated since"
+    assert line in page_one(replace(material, settings={"identify": {}, "diagnose": {}, "report": {}}))
+    assert line not in page_one(replace(material, settings={"identify": {}, "report": {}}))
+
+
 @pytest.mark.parametrize(("later", "said"), [(0.09, True), (0.06, False)])
 def test_a_calibration_that_will_not_last_says_so(small: Context, later: float, said: bool) -> None:
     """Fails if page one is silent where the error promised a day later is much larger, or speaks of it where it is not."""

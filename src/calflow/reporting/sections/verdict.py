@@ -89,7 +89,8 @@ def _first_page(material: Material) -> list[Block]:
     lacking = headed("What else was found", Bullets(lacked(material), None)) if diagnosed else []
     cards, of_task = [*_cards(material), verdict_card(material)], answer(material.task) if material.task else None
     sentences = [*([of_task] if of_task else []), *foremost(material)]
-    facts = [*simulated(material.request), Paragraph(identity(material.request), 9), Paragraph(_measured(material), 9)]
+    lines = [identity(material.request), _measured(material), *_stages_left_out(material)]
+    facts = [*simulated(material.request), *(Paragraph(line, 9) for line in lines)]
     return [
         *cover("Calibration report", material.title, facts, judgement(material), sentences, cards, bold=True),
         *([] if held_against_tolerance(material) else [Paragraph(NO_TOLERANCE, 11)]),
@@ -166,6 +167,15 @@ def where_words(certainty: Certainty) -> str:
     """Return words on the range of distances and heights over which the errors are known."""
     near, far, low, high = (number(end, ".2f") for end in (*certainty.reach_m, *certainty.heights_m))
     return f"{near} to {far} m from axis 1, at heights of {low} to {high} m; nothing was tested beyond."
+
+
+def _stages_left_out(material: Material) -> list[str]:
+    """Return a line on the stages of the workflow without results; empty where all have them."""
+    files = (*material.results.tables, *material.results.documents)
+    without = [
+        name for name in material.settings if name != "report" and not any(f.startswith(f"{name}/") for f in files)
+    ]
+    return [f"without the stage {listed(without)}: not run, or outdated since"] if without else []
 
 
 def _measured(material: Material) -> str:
