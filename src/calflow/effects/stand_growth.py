@@ -38,6 +38,7 @@ class StandGrowth(Warming):
     whole = "device"
     family = OF_THE_FRAME
     taken_for = ()  # what it is mistaken for is of its family
+    course = "settling"
     told_by = "measure points fixed to the floor from time to time"
 
     @classmethod
@@ -64,7 +65,7 @@ class StandGrowth(Warming):
     @property
     def detail(self) -> str:
         """What it grows with, and whether it rotates."""
-        return f"{super().detail.replace('warming up', 'settling')}{', turned too' if self.turning else ''}"
+        return f"{super().detail}{', turned too' if self.turning else ''}"
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the shift, and the rotation."""

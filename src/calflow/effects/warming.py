@@ -32,6 +32,7 @@ class Warming(Effect):
 
     shown_by = "warmth"
     taken_for: ClassVar[tuple[str, ...]] = ("frame-drift",)
+    course: ClassVar[str] = "warming up"
     told_by = "measure some poses again when the robot is cold"
 
     @classmethod
@@ -58,7 +59,7 @@ class Warming(Effect):
         """What it grows with."""
         if not self.constant:
             return "with the temperature"
-        return f"warming up in {self.constant / 3600:.2g} h{', anew after each pause' if self.pauses else ''}"
+        return f"{self.course} in {self.constant / 3600:.2g} h{', anew after each pause' if self.pauses else ''}"
 
     @property
     def variant(self) -> str:
