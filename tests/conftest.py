@@ -15,7 +15,7 @@ import json
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -209,9 +209,22 @@ class Folder:
         change(manifest)
         path.write_text(json.dumps(manifest), encoding="utf-8")
 
+    def copied(self, to: Path) -> Folder:
+        """A copy of all that is here."""
+        shutil.copytree(self.path, to, dirs_exist_ok=True)
+        return Folder(to)
+
     def results(self, run: str = "runs") -> dict[str, bytes]:
         """The bytes of every table of a run."""
         return {str(path.relative_to(self / run)): path.read_bytes() for path in sorted((self / run).rglob("*.csv"))}
+
+
+@contextlib.contextmanager
+def without_data() -> Iterator[pytest.MonkeyPatch]:
+    """Without the user's data, which must not stand in for a study's own."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.delenv("CALFLOW_DATA", raising=False)
+        yield patch
 
 
 @pytest.fixture(scope="session")
@@ -225,10 +238,8 @@ def _measured(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def _finished(_measured, tmp_path_factory):
-    folder = Folder(tmp_path_factory.mktemp("finished"))
-    shutil.copytree(_measured.path, folder.path, dirs_exist_ok=True)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.delenv("CALFLOW_DATA", raising=False)
+    folder = _measured.copied(tmp_path_factory.mktemp("finished"))
+    with without_data():
         answer = folder.calflow("run")
     assert answer.code == 0, answer
     assert answer.out.count("was never run") == 3
@@ -238,17 +249,15 @@ def _finished(_measured, tmp_path_factory):
 @pytest.fixture
 def small(_measured, tmp_path, monkeypatch):
     """A study of its own for the test, measured and not run yet."""
-    monkeypatch.delenv("CALFLOW_DATA", raising=False)  # the user's data must not stand in for the study's own
-    shutil.copytree(_measured.path, tmp_path / "small")
-    return Folder(tmp_path / "small")
+    monkeypatch.delenv("CALFLOW_DATA", raising=False)
+    return _measured.copied(tmp_path / "small")
 
 
 @pytest.fixture
 def finished(_finished, tmp_path, monkeypatch):
     """The same, with a finished run in `runs`."""
     monkeypatch.delenv("CALFLOW_DATA", raising=False)
-    shutil.copytree(_finished.path, tmp_path / "finished")
-    return Folder(tmp_path / "finished")
+    return _finished.copied(tmp_path / "finished")
 
 
 @pytest.fixture

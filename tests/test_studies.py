@@ -15,7 +15,7 @@ import pandas as pd
 import pytest
 
 from calflow.study import load_study
-from conftest import in_process
+from conftest import in_process, without_data
 from forked import forked
 from reporting.page_one import of_run, unreadable
 
@@ -201,8 +201,7 @@ def thinned_ur10(tmp_path_factory: pytest.TempPathFactory) -> Path:
         text = (UR10 / study).read_text(encoding="utf-8").replace(f"ur10-tmac/{file}", file)
         own = [line for line in text.splitlines(True) if not line.startswith(("url = ", "sha256 = "))]
         (folder / study).write_text("".join(own) + FEW, encoding="utf-8")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.delenv("CALFLOW_DATA")  # the whole series must not stand in for the thinned ones
+    with without_data():
         answer = in_process("run", folder / "study.toml", "--out", folder / "run", "--stage", "diagnose")
     assert answer.code == 0, answer
     return folder / "run"

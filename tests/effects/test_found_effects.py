@@ -15,7 +15,7 @@ from calflow.effects import catalogue
 from calflow.estimation.model_tables import ModelEffect, read_effects
 from calflow.files.problems import InputError
 from calflow.robot.robot import Robot
-from conftest import Folder
+from conftest import Folder, without_data
 from plugin import HOSES, hoses, install
 
 SOURCE = """\
@@ -73,8 +73,7 @@ def _pulled(_measured, tmp_path_factory):
     small.edit("quick.toml", ("[settings.select]\ncandidates = 100\n", ""))
     small.edit("study.toml", ("[stages.select]\nposes = 8\n", ""))
     shop = Shop(small, hoses(tmp_path_factory.mktemp("site")))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.delenv("CALFLOW_DATA", raising=False)
+    with without_data():
         shop.apart("-m", "calflow", "simulate", "truth.toml", "--force")
     return small
 
@@ -83,8 +82,7 @@ def _pulled(_measured, tmp_path_factory):
 def shop(_pulled, tmp_path, monkeypatch):
     """Data of a robot whose hoses pull, and a study that knows nothing of it."""
     monkeypatch.delenv("CALFLOW_DATA", raising=False)
-    shutil.copytree(_pulled.path, tmp_path / "shop")
-    return Shop(Folder(tmp_path / "shop"), hoses(tmp_path / "site"))
+    return Shop(_pulled.copied(tmp_path / "shop"), hoses(tmp_path / "site"))
 
 
 def test_a_found_effect_is_named_added_and_told(shop):

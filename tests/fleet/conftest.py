@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from conftest import Folder
+from conftest import Folder, without_data
 from fleet.plant import KILLED, Plant, befalls, broken, built
 
 
@@ -21,8 +21,7 @@ def ran(_measured: Folder, tmp_path_factory) -> tuple[Plant, object]:
 
     The first process that calibrates C-3 is killed.
     """
-    with pytest.MonkeyPatch.context() as patch:
-        patch.delenv("CALFLOW_DATA", raising=False)
+    with without_data() as patch:
         plant = built(tmp_path_factory.mktemp("ran") / "plant", _measured / "measurements.csv")
         broken(plant, "B-2")
         once = f"""if open(os.environ["BEFALLEN"]).read().count(" ") == 1: {KILLED}"""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -11,22 +9,20 @@ import pytest
 from applied import history
 from calflow.calibration import Calibration
 from calflow.deployment.history import history as deployed
-from conftest import Folder
+from conftest import without_data
 
 
 @pytest.fixture(scope="module")
 def _measured_twice_more(_finished, tmp_path_factory):
     """The finished study, measured and identified twice more."""
-    finished = Folder(tmp_path_factory.mktemp("history") / "finished")
-    shutil.copytree(_finished.path, finished.path)
+    finished = _finished.copied(tmp_path_factory.mktemp("history") / "finished")
     for seed, name, change in ((5, "second", "0.5"), (6, "third", "0.8")):
         text = (finished / "truth.toml").read_text(encoding="utf-8")
         text = text.replace("seed = 3", f"seed = {seed}").replace("a_mm = 0.5", f"a_mm = {change}")
         (finished / "other.toml").write_text(text, encoding="utf-8")
         measured = finished / "measurements.csv"
         assert finished.calflow("simulate", finished / "other.toml", "--out", measured, "--force").code == 0
-        with pytest.MonkeyPatch.context() as patch:
-            patch.delenv("CALFLOW_DATA", raising=False)
+        with without_data():
             assert finished.calflow("run", "--stage", "identify", "--out", finished / name).code == 0
     return finished
 
@@ -34,7 +30,7 @@ def _measured_twice_more(_finished, tmp_path_factory):
 @pytest.fixture
 def three(_measured_twice_more, finished):
     """Three runs, of one robot whose second link's length is 0.3 mm more from the third on."""
-    shutil.copytree(_measured_twice_more.path, finished.path, dirs_exist_ok=True)
+    _measured_twice_more.copied(finished.path)
     return [finished / name for name in ("runs", "second", "third")]
 
 

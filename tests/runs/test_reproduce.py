@@ -11,15 +11,13 @@ import pytest
 
 from calflow.run_folder import laid_out, read_manifest
 from calflow.runs.reproduce import reproduce
-from conftest import Folder
+from conftest import Folder, without_data
 
 
 @pytest.fixture(scope="module")
 def _identified(_measured, tmp_path_factory):
-    folder = Folder(tmp_path_factory.mktemp("identified") / "study")
-    shutil.copytree(_measured.path, folder.path)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.delenv("CALFLOW_DATA", raising=False)
+    folder = _measured.copied(tmp_path_factory.mktemp("identified") / "study")
+    with without_data():
         assert folder.calflow("run", "--stage", "identify").code == 0
     return folder
 
@@ -28,8 +26,7 @@ def _identified(_measured, tmp_path_factory):
 def identified(_identified, tmp_path, monkeypatch):
     """A study of its own for the test, with a run that ends with identify."""
     monkeypatch.delenv("CALFLOW_DATA", raising=False)
-    shutil.copytree(_identified.path, tmp_path / "identified")
-    return Folder(tmp_path / "identified")
+    return _identified.copied(tmp_path / "identified")
 
 
 def test_a_moved_run_comes_out_the_same(finished):

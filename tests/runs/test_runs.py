@@ -25,7 +25,7 @@ from calflow.run_folder import default_folder
 from calflow.runs import cache_key, planning
 from calflow.sampling.chain import Chain
 from calflow.stages.stage import Stage
-from conftest import Folder
+from conftest import without_data
 
 STAGES = ["select", "identify", "sample"]
 UNCHANGED = "inputs, settings, upstream results and code are unchanged"
@@ -349,11 +349,9 @@ def interrupt_after(blocks):
 
 @pytest.fixture(scope="module")
 def _interrupted(_finished, tmp_path_factory):
-    folder = Folder(tmp_path_factory.mktemp("interrupted"))
-    shutil.copytree(_finished.path, folder.path, dirs_exist_ok=True)
+    folder = _finished.copied(tmp_path_factory.mktemp("interrupted"))
     interrupt_after(1)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.delenv("CALFLOW_DATA", raising=False)
+    with without_data():
         assert folder.calflow("run", "--stage", "sample", "--force").code == 130
     return folder
 
@@ -362,8 +360,7 @@ def _interrupted(_finished, tmp_path_factory):
 def interrupted(_interrupted, tmp_path, monkeypatch):
     """The finished run, of which sample ran again and was interrupted after its first block."""
     monkeypatch.delenv("CALFLOW_DATA", raising=False)
-    shutil.copytree(_interrupted.path, tmp_path / "interrupted")
-    return Folder(tmp_path / "interrupted")
+    return _interrupted.copied(tmp_path / "interrupted")
 
 
 def test_what_an_interrupted_stage_had_written_does_not_count(finished, interrupted):

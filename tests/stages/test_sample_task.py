@@ -8,6 +8,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from conftest import without_data
+
 TASK = """
 [stages.sample.task]
 poses = "task.csv"
@@ -35,8 +37,7 @@ def run(_measured, tmp_path_factory):
         ("[settings.select]\ncandidates = 100\n", ""),
     )
     folder.edit("study.toml", ("\n[stages.select]\nposes = 8\n", ""))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.delenv("CALFLOW_DATA", raising=False)
+    with without_data():
         answer = folder.calflow("run")
     assert answer.code == 0, answer
     return folder

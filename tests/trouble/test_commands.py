@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from conftest import SMALL
+from conftest import SMALL, without_data
 from trouble.commands import PAIRS, called
 from trouble.workplace import few_sections, workplace
 
@@ -13,8 +13,7 @@ EVERY = 4  # of the pairs of a command and a file, one is tried
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory):
-    with pytest.MonkeyPatch.context() as patch, few_sections():
-        patch.delenv("CALFLOW_DATA", raising=False)
+    with without_data(), few_sections():
         quick = SMALL["quick.toml"].replace(', "sample"', "")
         yield workplace(tmp_path_factory.mktemp("commands") / "place", quick)
 

@@ -10,7 +10,7 @@ import sys
 import numpy as np
 import pytest
 
-from conftest import Answer, in_process
+from conftest import Answer, in_process, without_data
 from trouble.campaign import unreadable
 from trouble.damage import AS_USER, DAMAGES, Sound, locked_away, reads_everything, turned
 from trouble.workplace import few_sections, workplace
@@ -20,8 +20,7 @@ ASKED = ("status", "plan", "predict", "export", "pack", "compare")
 
 @pytest.fixture(scope="module")
 def sound(tmp_path_factory):
-    with pytest.MonkeyPatch.context() as patch, few_sections():
-        patch.delenv("CALFLOW_DATA", raising=False)
+    with without_data(), few_sections():
         yield Sound.of(workplace(tmp_path_factory.mktemp("damage") / "place"), ASKED)
 
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 
+from conftest import without_data
 from trouble import kills
 
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    with pytest.MonkeyPatch.context() as patch:
-        patch.delenv("CALFLOW_DATA", raising=False)
+    with without_data():
         yield kills.unbroken(tmp_path_factory.mktemp("kills"))
 
 

@@ -6,6 +6,7 @@ from itertools import islice
 
 import pytest
 
+from conftest import without_data
 from trouble.campaign import TARGETS, Campaign
 
 CASES = 2  # of each file's share
@@ -13,8 +14,7 @@ CASES = 2  # of each file's share
 
 @pytest.fixture(scope="module")
 def campaign(tmp_path_factory):
-    with pytest.MonkeyPatch.context() as patch:
-        patch.delenv("CALFLOW_DATA", raising=False)
+    with without_data():
         yield Campaign(tmp_path_factory.mktemp("campaign"))
 
 
