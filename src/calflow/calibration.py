@@ -742,9 +742,9 @@ def _checked_effects(
         raise refuse(str(error), key="effects") from None
     every = build(robot, given).effects
     problems = [
-        Problem(f"effect '{effect.id}' {alone}; diagnose looks for it")
+        Problem(f"effect '{effect.id}' {why}; diagnose looks for it")
         for stated, effect in zip(given, every, strict=True)
-        if (effect.is_noise() or not isinstance(stated, Effect)) and (alone := effect.found_alone())
+        if (effect.is_noise() or not isinstance(stated, Effect)) and (why := effect.unstatable())
     ]
     problems += [
         Problem(f"effect '{effect.id}' needs {lacking}")

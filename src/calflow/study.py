@@ -179,8 +179,8 @@ class StudyFile(FileModel):
 
         for effect in effects:
             kind = effect_class(effect)
-            if kind and (alone := kind.found_alone()):
-                raise ValueError(f"effect '{effect}' {alone}; diagnose looks for it")
+            if kind and (why := kind.unstatable()):
+                raise ValueError(f"effect '{effect}' {why}; diagnose looks for it")
         return effects
 
 

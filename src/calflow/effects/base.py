@@ -291,10 +291,14 @@ class Effect(ABC):
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
-        """Return the variants to search for in these data; none where the data cannot show it (see `lacking`)."""
+        """Return the variants to search for in these data; none where the data cannot show it (see `lacking`).
+
+        A form without parameters is none of this robot's.
+        """
         plain = cls(robot)
         name = next(iter(plain.figures), "")
-        return tuple(replace(plain, **{name: form}) for form in cls.forms) or (plain,)
+        forms = tuple(replace(plain, **{name: form}) for form in cls.forms) or (plain,)
+        return tuple(form for form in forms if form.declared)
 
     @classmethod
     def lacking(cls, robot: Robot, data: Measurements) -> str:
@@ -325,7 +329,7 @@ class Effect(ABC):
         return cls.scatter is not Effect.scatter
 
     @classmethod
-    def found_alone(cls) -> str:
+    def unstatable(cls) -> str:
         """Return why a study cannot state it, so that it is found by diagnosis alone; empty where it can."""
         return "is a model of the noise, which no fit can have" if cls.is_noise() else ""
 

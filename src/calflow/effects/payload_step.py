@@ -17,9 +17,11 @@ class PayloadStep(StepChange):
     """Masses of the payloads (1 + e) from a row on; before it, and in later measurements, they are as stated."""
 
     id = "payload-step"
-    title = "unstated change of payload"
+    title = "unstated change of payload mass"
     words = Words(
-        "unstated change of payload", "another payload than the table says hung on the robot from there on", "change"
+        "unstated change of payload mass",
+        "another payload than the table says hung on the robot from there on",
+        "change",
     )
     whole = "payloads"
     needs = (*StepChange.needs, "masses", "payload")

@@ -48,7 +48,7 @@ class StepChange(Effect):
         return tuple(replace(kind, moment=float(moment)) for kind in cls.kinds(robot) for moment in moments)
 
     @classmethod
-    def found_alone(cls) -> str:
+    def unstatable(cls) -> str:
         """Return that its moment is not known."""
         return "happens at a row that nobody knows yet"
 

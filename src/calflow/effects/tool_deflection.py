@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Literal, Self
+from typing import Literal
 
 import casadi as ca
 import numpy as np
 
 from calflow.effects.base import OF_THE_TOOL, Effect, Words, parts, payload_variable
-from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Deflection, Row, State
 from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
@@ -23,19 +22,14 @@ USUAL = 1e3  # N: typical weight of a payload of unknown mass
 TOOL = "tool"  # the part that carries all markers and deflects under payloads of known mass
 Shape = Literal["alike", "adapter", "bracket", "direction"]
 ENTRIES = tuple(i if i == j else i + j for j in "xyz" for i in "xyz")  # of a matrix, column by column
+# Symbols of the shapes that give way, and turn, by the weight; or tilt, about the flange's axes by the moments about them.
 GIVES: dict[Shape, tuple[str, ...]] = {
     "alike": ("c",),
-    "adapter": (),
     "bracket": ("c",),
     "direction": tuple(f"c{ij}" for ij in ENTRIES),
 }
-TURNS: dict[Shape, tuple[str, ...]] = {
-    "alike": (),
-    "adapter": (),
-    "bracket": ("t",),
-    "direction": tuple(f"t{ij}" for ij in ENTRIES),
-}
-TILTS = ("mx", "my", "mz")  # of an adapter: rotations about the flange's axes by the moments about them
+TURNS: dict[Shape, tuple[str, ...]] = {"bracket": ("t",), "direction": tuple(f"t{ij}" for ij in ENTRIES)}
+TILTS: dict[Shape, tuple[str, ...]] = {"adapter": ("mx", "my", "mz")}
 
 
 def tools(robot: Robot) -> dict[str, int]:
@@ -118,22 +112,18 @@ class ToolDeflection(Effect):
         parameters = [parameter for part in self._known for parameter in self._declare(part, "/N", 1.0)]
         return (*parameters, *(parameter for part in self._unknown for parameter in self._declare(part, "", USUAL)))
 
-    @classmethod
-    def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
-        """Return the forms that have parameters: nobody knows the moment of a payload of unknown mass or centre."""
-        return tuple(effect for effect in super().variants(robot, data) if effect.declared)
-
     def _declare(self, part: str, per: str, usual: float) -> Iterator[Parameter]:
         words = f"the tool's give under {part}" if part in self._unknown else f"the {part}'s give"
         lowest = 0.0 if self.shape == "bracket" else -1.0
-        for symbol in GIVES[self.shape]:
+        for symbol in GIVES.get(self.shape, ()):
             sd, bound = GIVES_SD * usual, GIVES_BOUND * usual
             yield Parameter(self.id, part, symbol, f"m{per}", sd, lowest * bound, bound, meaning=words)
-        for symbol in TURNS[self.shape]:
+        for symbol in TURNS.get(self.shape, ()):
             sd, bound = TURNS_SD * usual, TURNS_BOUND * usual
             yield Parameter(self.id, part, symbol, f"rad{per}", sd, lowest * bound, bound, meaning=f"{words}, its turn")
-        if self.shape == "adapter" and part in self._known and (largest := largest_moment(self.robot)):
-            for symbol in TILTS:
+        # Nobody knows the moment of a payload of unknown mass or centre.
+        if part in self._known and (largest := largest_moment(self.robot)):
+            for symbol in TILTS.get(self.shape, ()):
                 sd, bound = TILT_SD / largest, TILT_BOUND / largest
                 yield Parameter(self.id, part, symbol, "rad/Nm", sd, 0.0, bound, meaning=f"{words}, its tilt")
 
@@ -147,16 +137,15 @@ class ToolDeflection(Effect):
         for part, values in parts(self).items():
             load = self._unknown.get(part)
             on = parts_known[part] if load is None else robot.payload_links[load]
-            if self.shape == "adapter":
-                link[3:, on] += p[values.tolist()] * state.link[3:, on]
-                continue
             weight = state.link[:3, on] if load is None else row.payload[load] * state.down[:, robot.tools.index(on)]
-            link[:, on] += self._twist(p[values.tolist()], weight)
+            link[:, on] += self._twist(p[values.tolist()], weight, state.link[3:, on])
         return replace(still, link=link)
 
-    def _twist(self, p: ca.SX, weight: ca.SX) -> ca.SX:
-        """Return the flange's twist (6,) by one part's parameters under a weight (3,)."""
+    def _twist(self, p: ca.SX, weight: ca.SX, moment: ca.SX) -> ca.SX:
+        """Return the flange's twist (6,) by one part's parameters under a weight (3,), and the known payloads' moment (3,)."""
         x, y = weight[0], weight[1]
+        if self.shape == "adapter":
+            return ca.vertcat(ca.SX(3, 1), p * moment)
         if self.shape == "alike":
             return ca.vertcat(p[0] * weight, ca.SX(3, 1))
         if self.shape == "bracket":

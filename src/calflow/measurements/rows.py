@@ -323,7 +323,8 @@ def _figures(table: pd.DataFrame, robot: Robot, path: Path | None) -> list[Probl
             problems += at_rows(wrong, table, path, f"{name}: expected a positive standard deviation")
     if "temperature" in table:
         wild = ~table["temperature"].between(*AMBIENT) & table["temperature"].notna()
-        expected = "expected -60 to 150 °C; is it in another unit, or a sign for no value?"
+        low, high = (kelvin - 273.15 for kelvin in AMBIENT)
+        expected = f"expected {low:g} to {high:g} °C; is it in another unit, or a sign for no value?"
         problems += at_rows(wild, table, path, f"temperature: {expected}")
     if "qw" in table:
         norm = np.linalg.norm(table[[*QUATERNION]], axis=1)
