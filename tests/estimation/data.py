@@ -96,6 +96,6 @@ def calibrated(data: Measurements) -> CalibratedModel:
     model = build(data.robot, ("geometry",), data.given)
     result = fit_reweighted(model, data, stated(data), model.nominal[None], "linear")[0]
     sizes = SmoothVariances.of(result, data, True)
-    unsure, left = beside_smooth_errors(sizes, 0.0)
-    errors = beyond_measured(left, sizes)
+    unsure, left = beside_smooth_errors(sizes, sizes.variance, 0.0)
+    errors = beyond_measured(left, sizes, sizes.variance)
     return replace(calibration(model, result.estimate, unsure.covariance, at_bound=result.at_bound), errors=errors)

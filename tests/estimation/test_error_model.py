@@ -33,11 +33,18 @@ from estimation.data import POSES, SIGMA, measured, stated, wavering
 from robots import industrial
 
 
+def continued(errors, result, data):
+    """Continue an error model beyond the measurement, with the variances that the data let one expect."""
+    sizes = SmoothVariances.of(result, data, True)
+    return beyond_measured(errors, sizes, sizes.variance)
+
+
 def fitted(data):
     """The geometry fitted to rows of stated noise, without smooth errors beside it and with them."""
     model = build(data.robot, ("geometry",), data.given)
     result = fit_reweighted(model, data, stated(data), model.nominal[None], "linear")[0]
-    return (result, *beside_smooth_errors(SmoothVariances.of(result, data, True), 0.0))
+    sizes = SmoothVariances.of(result, data, True)
+    return (result, *beside_smooth_errors(sizes, sizes.variance, 0.0))
 
 
 def dense(result, errors, rows):
@@ -136,7 +143,7 @@ def test_a_day_later_a_wander_has_gone_on():
     """Fails if a device that wandered by the minute is promised to be tomorrow where it was when measuring ended."""
     data, _ = walking(4)
     _, result, errors = fitted(data)
-    errors = beyond_measured(errors, SmoothVariances.of(result, data, True))
+    errors = continued(errors, result, data)
     now, hour, day = (promised(errors, result, data, seconds).mean() for seconds in (-1000.0, 3600.0, 86400.0))
     assert now < hour < day
     assert day > 3 * hour
@@ -149,7 +156,7 @@ def test_an_arm_that_grows_goes_on_where_it_reaches_out():
     reach = data.position.copy()
     data.table[["x", "y", "z"]] += 1e-4 * ((growth - growth[0]) / growth.std())[:, None] * reach
     _, result, errors = fitted(data)
-    errors = beyond_measured(errors, SmoothVariances.of(result, data, True))
+    errors = continued(errors, result, data)
     far = np.linalg.norm(reach, axis=1)
     near, out = (data.only(which) for which in (far < np.quantile(far, 0.2), far > np.quantile(far, 0.8)))
     assert promised(errors, result, out, 86400.0).mean() > 2 * promised(errors, result, near, 86400.0).mean()
@@ -167,7 +174,7 @@ def test_an_arm_that_warms_up_again_and_again_is_once_more_what_it_was(hours):
     cold, grown = data.position.copy(), 3e-4 * data.position
     data.table[["x", "y", "z"]] += (1 - np.exp(-seconds / 1800.0))[:, None] * grown
     _, result, errors = fitted(data)
-    errors = beyond_measured(errors, SmoothVariances.of(result, data, True))
+    errors = continued(errors, result, data)
     predicted = result.model.point(result.estimate, data.conditions)
     farthest = max(np.sqrt(((predicted - there) ** 2).mean()) for there in (cold, cold + grown))
     day = np.sqrt((promised(errors, result, data, 86400.0) ** 2).mean())
@@ -179,7 +186,7 @@ def test_rows_of_one_time_do_not_wander():
     data = wavering(4)
     data.table["time"] = 0.0
     _, result, errors = fitted(data)
-    errors = beyond_measured(errors, SmoothVariances.of(result, data, True))
+    errors = continued(errors, result, data)
     assert {type(function) for function in errors.functions} <= {JointField, Shift, InPlace}
     assert np.isfinite(promised(errors, result, data, 86400.0)).all()
 
@@ -194,12 +201,12 @@ def test_a_wander_that_is_named_goes_on_as_one_that_is_not(form):
     """Fails if a drift, a curve in time or a warm-up that was fitted to a random walk takes tomorrow for known, or for nothing."""
     data, walked = walking(4)
     _, result, errors = fitted(data)
-    unnamed = beyond_measured(errors, SmoothVariances.of(result, data, True))
+    unnamed = continued(errors, result, data)
     model = build(data.robot, ("geometry",), data.given)
     model = replace(model, effects=(*model.effects, form(data.robot)))
     named = fit_reweighted(model, data, stated(data), model.nominal[None], "linear")[0]
     left = ErrorModel.white(0.0, len(named.estimate))
-    before = beyond_measured(left, SmoothVariances.of(named, data, True))
+    before = continued(left, named, data)
     assert promised(before, named, data, -1000.0) == pytest.approx(promised(left, named, data, -1000.0))
     assert promised(before, named, data, 86400.0) == pytest.approx(promised(unnamed, result, data, 86400.0), rel=0.3)
     # What a warm-up has brought about is the robot's, and in the prediction.
@@ -228,7 +235,7 @@ def test_what_warming_brought_about_may_be_lost_when_the_robot_stands(held):
     found = fit_reweighted(model, data, stated(data), model.nominal[None], "linear")[0]
     assert model.values(cause, found.estimate) == pytest.approx(1e-3, rel=0.02)
     known = ErrorModel.white(0.0, len(found.estimate))
-    later = beyond_measured(known, SmoothVariances.of(found, data, True))
+    later = continued(known, found, data)
     rows = replace(data, table=data.table.assign(time=1e6)).conditions
     cold = replace(data, table=data.table.assign(time=0.0)).conditions
     lost = np.sqrt(((model.point(found.estimate, rows) - model.point(found.estimate, cold)) ** 2).mean(axis=0))
@@ -243,7 +250,7 @@ def test_rows_in_order_wander_anew_in_another_measurement():
     data = replace(data, table=table)
     _, result, errors = fitted(data)
     assert "order" in errors.inputs
-    anew = beyond_measured(errors, SmoothVariances.of(result, data, True))
+    anew = continued(errors, result, data)
     nothing = np.zeros((len(result.estimate), len(result.estimate)))
     here, there = (one.variance(result.model, result.estimate, nothing, data.conditions) for one in (errors, anew))
     others = np.array([walking(seed)[0].position - wavering(seed, 0.0).position for seed in range(5, 25)])
@@ -266,7 +273,7 @@ def test_beyond_a_measured_travel_a_curve_is_another_of_its_kind():
     estimate, sure = model.nominal.copy(), 1e16 * np.eye(len(model.nominal))
     estimate[model.columns(cause)[:2]] = 3e-4
     result = Fit(LeastSquares.of(model, data, stated(data)), estimate, 0.0, np.zeros(0), sure, 0, True, "")
-    errors = beyond_measured(ErrorModel.white(SIGMA, len(estimate)), SmoothVariances.of(result, data, True))
+    errors = continued(ErrorModel.white(SIGMA, len(estimate)), result, data)
     inside = data.joints[:, 0] < high[0]
     beyond = data.joints[:, 0] > high[0] + 0.06 * (high[0] - low[0])
     at = errors.at(model, estimate, data.conditions)

@@ -19,14 +19,24 @@ from calflow.design.optimality import ToolError, information
 from calflow.design.planned import Measure, Planned, SelectionRequest
 from calflow.design.search import greedy
 from calflow.design.selection import PlannedPose, planned_poses
-from calflow.design.task_error import MissingEffects, TaskError, TaskSlopes, WeightedForm, task_error
+from calflow.design.task_error import (
+    LackingCause,
+    TaskError,
+    TaskSlopes,
+    independent_sizes,
+    lacking_causes,
+    of_robot,
+    task_error,
+)
 from calflow.diagnosis.diagnosis import Diagnosis, extended_model
 from calflow.diagnosis.findings import findings
+from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.verdict import label
 from calflow.effects.base import UNEXPLAINED
 from calflow.estimation.accuracy import distances, errors
 from calflow.estimation.calibrated_model import Alternative, CalibratedModel, offsets
+from calflow.estimation.error_model import ErrorsAtRows
 from calflow.estimation.probing import probed
 from calflow.estimation.progress import Draws
 from calflow.faults import as_table
@@ -59,39 +69,55 @@ class Uncertainty:
 
 
 def uncertainties(
-    missing: MissingEffects,
-    error: TaskError,
+    fitted: Fitted,
+    suspects: Sequence[LackingCause],
     alternatives: Sequence[Alternative],
     at_task: TaskSlopes,
     planned: Planned,
     choices: Measurements,
 ) -> list[Uncertainty]:
     """Return the sources of uncertainty of the tool over the task, with their effect at the candidate poses."""
-    whole, fitted = missing.fitted.model, missing.fitted
-    free = np.flatnonzero(~fitted.fit.at_bound)
-    asked, estimate = _material(missing, error), fitted.fit.estimate
-    effects = [effect for lack in asked for effect in lack.form.effects]
-    _, slopes = probed(planned.problem(whole, estimate, choices.conditions), estimate, effects)
+    model, estimate, errors = fitted.model, fitted.fit.estimate, of_robot(fitted.errors)
+    asked = [*errors.functions, *(suspect.score.cause for suspect in suspects)]
+    _, slopes = probed(planned.problem(model, estimate, choices.conditions), estimate, asked)
     slopes = slopes.reshape(len(choices), -1, slopes.shape[1])
-    jacobian = slopes[:, :, free]
-    root = np.linalg.cholesky(missing.covariance)
-    uncertainties = [Uncertainty(PARAMETERS, jacobian @ root, at_task.slopes[:, :, free] @ root)]
-    start = len(estimate)
-    for lack, tool in zip(asked, at_task.left(missing, [lack.form for lack in asked]), strict=True):
-        columns = lack.form.columns
-        turn = _directions(missing, lack, tool) * np.sqrt(missing.probability(lack.form.kind, lack.form.name))
-        seen = slopes[:, :, start : start + len(columns)] + jacobian @ missing.response(columns)
-        uncertainties.append(Uncertainty(lack.form.name, seen @ turn, tool @ turn))
-        start += len(columns)
+    n, smooth = len(estimate), len(estimate) + len(errors.sd)
+    covariance = fitted.covariance - np.outer(errors.offset, errors.offset)
+    seen, tool = (
+        here.scattered(jacobian, covariance)
+        for here, jacobian in (
+            (ErrorsAtRows(errors, slopes[:, :, n:smooth] * errors.sd), slopes[:, :, :n]),
+            (errors.at(model, estimate, at_task.conditions), at_task.slopes),
+        )
+    )
+    turn = _most_moving(tool[:, :, n:])
+    uncertainties = [
+        Uncertainty(PARAMETERS, seen[:, :, :n], tool[:, :, :n]),
+        Uncertainty("smooth errors", seen[:, :, n:] @ turn, tool[:, :, n:] @ turn),
+    ]
+    free = slopes[:, :, np.flatnonzero(~fitted.fit.at_bound)]
+    ends = smooth + np.cumsum([0, *(suspect.response.shape[1] for suspect in suspects)])
+    for suspect, moved, start, end in zip(suspects, at_task.by(suspects), ends[:-1], ends[1:], strict=True):
+        mean, spread = suspect.score.estimate, np.linalg.cholesky(suspect.score.covariance)
+        root = np.sqrt(suspect.probability) * np.column_stack([mean, spread])
+        root = root @ _most_moving(moved @ root)
+        uncertainties.append(
+            Uncertainty(suspect.name, (slopes[:, :, start:end] + free @ suspect.response) @ root, moved @ root)
+        )
     if planned.observation.units == (METRE,) * 3:
         both = (choices.conditions, at_task.conditions)
-        seen, tool = (offsets(alternatives, whole, estimate, rows) for rows in both)
+        seen, tool = (offsets(alternatives, model, estimate, rows) for rows in both)
         for k, alternative in enumerate(alternatives):
             size, own = np.sqrt(alternative.probability), slice(k, k + 1)
             uncertainties.append(
                 Uncertainty(f"rival {k + 1}", size / planned.sigma * seen[:, :, own], size * tool[:, :, own])
             )
     return uncertainties
+
+
+def _most_moving(moved: np.ndarray) -> np.ndarray:
+    """Return the orthonormal directions (n_columns, n) of independent standard normals that move the tool most."""
+    return np.linalg.svd(np.concatenate(moved), full_matrices=False)[2][:DIRECTIONS].T
 
 
 def further_poses(
@@ -114,28 +140,12 @@ def further_poses(
     return reasons
 
 
-def _material(missing: MissingEffects, error: TaskError) -> list[WeightedForm]:
-    """Return the likeliest form and size of each lacking effect that matters most to the tool."""
-    left, squared = np.array(error.left), error.lacking**2
-    share = {name: float(squared[left == name].sum() / (error.every**2).sum()) for name in set(error.left)}
-    likeliest: dict[str, WeightedForm] = {}
-    for lack in sorted(missing.every, key=lambda lack: lack.log_weight):
-        if lack.form.effects:
-            likeliest[lack.form.name] = lack
-    names = sorted(
-        (name for name in share if share[name] >= MATERIAL and name in likeliest), key=lambda n: (-share[n], n)
-    )
-    return [likeliest[name] for name in names[:MOST_LACKS]]
-
-
-def _directions(missing: MissingEffects, lack: WeightedForm, tool: np.ndarray) -> np.ndarray:
-    """Return directions (n_columns, n) of a lack's amplitudes that move the tool most, of unit standard deviation."""
-    mean, covariance = missing.amplitude(lack)
-    second = np.outer(mean, mean) + covariance
-    value, turned = np.linalg.eigh(second)
-    root = turned * np.sqrt(np.maximum(value, 0.0))
-    moved = tool.reshape(-1, tool.shape[2]) @ root
-    return np.asarray(root @ np.linalg.svd(moved, full_matrices=False)[2][:DIRECTIONS].T)
+def _material(causes: Sequence[LackingCause], error: TaskError) -> list[LackingCause]:
+    """Return the lacking causes that matter most to the tool."""
+    having, squared, whole = np.array(error.having), error.lacking**2, (error.every**2).sum()
+    share = {cause.name: float(squared[having == cause.name].sum() / whole) for cause in causes}
+    material = [cause for cause in causes if share[cause.name] >= MATERIAL]
+    return sorted(material, key=lambda cause: (-share[cause.name], cause.name))[:MOST_LACKS]
 
 
 def _discriminating(asked: Sequence[Question], choices: Measurements, most: int) -> dict[int, str]:
@@ -278,22 +288,22 @@ def next_step(
     fitted = diagnosis.final or diagnosis.extended.fitted.with_causes(())
     assert asked.task is not None
     catalogue = Catalogue.of(fitted.data, [effect.id for effect in fitted.plain])
-    missing = MissingEffects.of(fitted, catalogue)
+    causes = lacking_causes(fitted, catalogue)
     bare = replace(fitted.model, given=())
     at_task = TaskSlopes.of(fitted, asked.task, rng("conditions"))
     rivals = _rivals(diagnosis)
     by_cause = [
         [rival for rival in rivals if rival.gone == cause] for cause in diagnosis.causes[: diagnosis.n_deployed]
     ]
-    error = task_error(missing, by_cause, at_task, asked.measure, rng("task error"))
-    verdict = _verdict(diagnosis, identified, data, missing, catalogue, error, asked, confidence, rng)
+    error = task_error(fitted, causes, by_cause, at_task, asked.measure, rng("task error"))
+    verdict = _verdict(diagnosis, identified, data, fitted, causes, catalogue, error, asked, confidence, rng)
     calibrated = extended_model(diagnosis, identified, data)
     if verdict.status == "stop":
         nothing = planned_poses(bare, asked, np.zeros((0, bare.robot.n_joints))).assign(reason="")
         return NextStep(verdict, numbered_on(nothing, data), calibrated)
     planned = planned_like(fitted, fitted_share(data))
     choices = _choices(bare, fitted.data, planned, asked, rng("candidates"))
-    every = uncertainties(missing, error, rivals, at_task, planned, choices)
+    every = uncertainties(fitted, _material(causes, error), rivals, at_task, planned, choices)
     chosen = further_poses(every, questions(diagnosis, data, rng, choices), choices, asked.measure, asked.number)
     return NextStep(verdict, numbered_on(_table(bare, choices, chosen, asked), data), calibrated)
 
@@ -304,10 +314,10 @@ def _rivals(diagnosis: Diagnosis) -> list[Alternative]:
 
 
 def _verdict(
-    diagnosis: Diagnosis, identified: CalibratedModel, data: Measurements, missing: MissingEffects, catalogue: Catalogue,
-    error: TaskError, asked: SelectionRequest, confidence: float, rng: Draws,
+    diagnosis: Diagnosis, identified: CalibratedModel, data: Measurements, fitted: Fitted,
+    causes: Sequence[LackingCause], catalogue: Catalogue, error: TaskError, asked: SelectionRequest, confidence: float, rng: Draws,
 ) -> MeasuringVerdict:  # fmt: skip
-    fitted, tolerance = missing.fitted, asked.tolerance
+    tolerance = asked.tolerance
     probability = None if tolerance is None else error.probability(tolerance)
     status: Status = "no tolerance" if probability is None else "stop" if probability >= confidence else "measure"
     heldout = data.only(data.held_out)
@@ -322,7 +332,7 @@ def _verdict(
         heldout_rms_mm=in_mm(float(np.sqrt((outside**2).mean()))) if len(outside) else None,
         leftout_rms_mm=in_mm(fitted.left_out.rms), elsewhere_mm=in_mm(float(fitted.left_out.excess())),
         noise_mm=in_mm(fitted.noise.typical(METRE)) or None, noise_known=fitted.noise.known,
-        found=tuple(finding.statement for finding in lacking), suspected=_suspects(diagnosis, missing),
+        found=tuple(finding.statement for finding in lacking), suspected=_suspects(diagnosis, fitted, causes),
         untested=tuple(sorted(catalogue.lacking)), notes=data.notes,
     )  # fmt: skip
 
@@ -348,10 +358,14 @@ def _table(model: Model, choices: Measurements, reasons: Mapping[int, str], aske
     return table.assign(reason=[reasons[number] for number in numbers])
 
 
-def _suspects(diagnosis: Diagnosis, missing: MissingEffects) -> tuple[Suspect, ...]:
+def _suspects(diagnosis: Diagnosis, fitted: Fitted, causes: Sequence[LackingCause]) -> tuple[Suspect, ...]:
     """Return the suspects, the likeliest first."""
-    names = dict.fromkeys((lack.form.kind, lack.form.name) for lack in missing.every if lack.form.kind != "nothing")
-    every = [Suspect(name=name, kind=kind, probability=missing.probability(kind, name)) for kind, name in names]
+    every = [Suspect(name=cause.name, kind="cause", probability=cause.probability) for cause in causes]
+    every += [
+        Suspect(name=" and ".join(inputs), kind="background", probability=probability)
+        for inputs, probability in fitted.smooth.probabilities.items()
+    ]
+    every.append(Suspect(name="pose", kind="pose", probability=float(independent_sizes(fitted)[1][1:].sum())))
     every += [
         Suspect(
             name=label(rival.rival.id, rival.rival.joint) if rival.rival else UNEXPLAINED,

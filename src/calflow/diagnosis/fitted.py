@@ -86,9 +86,21 @@ class Fitted:
     @cached_property
     def _beside(self) -> tuple[Fit, ErrorModel]:
         """The fit with its information reduced by the smooth errors that the data allow, and the error model."""
-        sizes = SmoothVariances.of(replace(self.fit, problem=self._problem), self.data, self.noise.known)
-        unsure, errors = beside_smooth_errors(sizes, float(self.left_out.excess()))
-        return unsure, beyond_measured(errors, sizes)
+        return self._with_smooth(self.smooth.variance, float(self.left_out.excess()))
+
+    @cached_property
+    def smooth(self) -> SmoothVariances:
+        """The variances of smooth errors beside the model."""
+        return SmoothVariances.of(replace(self.fit, problem=self._problem), self.data, self.noise.known)
+
+    def _with_smooth(self, variance: np.ndarray, elsewhere: float) -> tuple[Fit, ErrorModel]:
+        unsure, errors = beside_smooth_errors(self.smooth, variance, elsewhere)
+        return unsure, beyond_measured(errors, self.smooth, variance)
+
+    def with_smooth_errors(self, variance: np.ndarray) -> tuple[np.ndarray, ErrorModel]:
+        """Return the estimate's covariance and the error model with smooth errors of given variances (n_parts,)."""
+        unsure, errors = self._with_smooth(variance, 0.0)
+        return replace(self.fit, information=unsure.information).covariance, errors
 
     @property
     def errors(self) -> ErrorModel:

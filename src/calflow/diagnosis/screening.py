@@ -270,6 +270,10 @@ class Screening(Generic[H]):
         score -= self._projected.T @ gradient
         return score, chi2 + (pull**2 / r.precision[:, None]).sum(axis=0) - (gradient**2).sum(axis=0)
 
+    def imitation(self, columns: np.ndarray) -> np.ndarray:
+        """Return the change of the fit's free parameters by a unit of some columns, (n_free, n_columns)."""
+        return np.asarray(-scipy.linalg.solve_triangular(self._factor.T, self._projected[:, columns], lower=False))
+
     @cached_property
     def degrees_of_freedom(self) -> float:
         """Residual degrees of freedom: number of residuals less that of the effective parameters."""

@@ -268,7 +268,7 @@ def _with(model: Model, functions: tuple[SmoothFunction, ...]) -> Model:
     return replace(model, probes=functions)
 
 
-def beside_smooth_errors(sizes: SmoothVariances, elsewhere: float) -> tuple[Fit, ErrorModel]:
+def beside_smooth_errors(sizes: SmoothVariances, variance: np.ndarray, elsewhere: float) -> tuple[Fit, ErrorModel]:
     """Return a fit with the information that remains beside the smooth errors, and the error model of positions.
 
     The estimate stays that of ordinary least squares: without the functions' means, which are not the robot's alone, it predicts
@@ -276,12 +276,13 @@ def beside_smooth_errors(sizes: SmoothVariances, elsewhere: float) -> tuple[Fit,
     a lens or target increase the parameters' variances and shift the generalised estimate, but are no errors of the position.
 
     Args:
-        sizes: variances of the smooth errors beside the model.
+        sizes: what smooth errors there may be beside the model.
+        variance: of each of their parts, (n_parts,).
         elsewhere: excess of leave-one-pose-out errors over noise and parameters, per axis [m]; used where nothing smooth shows.
     """
-    result, problem, variance = sizes.result, sizes.result.problem, sizes.variance
+    result, problem = sizes.result, sizes.result.problem
     model, estimate = result.model, result.estimate
-    active = sizes.active
+    active = sizes.active(variance)
     functions = tuple(dict.fromkeys(sizes.of_amplitude[number][1] for number in active))
     device = problem.device if sizes.known else 0.0
     # Without functions the noise's level is the fit's own, which includes the discrepancy.
@@ -372,11 +373,10 @@ class SmoothVariances:
         """Indices of the amplitudes used to estimate variances: all but means."""
         return np.flatnonzero([not is_mean(effect) for _, effect in self.of_amplitude])
 
-    @cached_property
-    def active(self) -> np.ndarray:
-        """Indices of the amplitudes with non-zero variance; means only of parts that are accepted."""
+    def active(self, variance: np.ndarray) -> np.ndarray:
+        """Return the indices of the amplitudes with non-zero variance (n_parts,); means only of parts that are accepted."""
         here = np.where([is_mean(effect) for _, effect in self.of_amplitude], self.accepted[self.part], 1.0)
-        return np.flatnonzero(self.variance[self.part] * here)
+        return np.flatnonzero(variance[self.part] * here)
 
     @cached_property
     def components(self) -> VarianceComponents:
@@ -395,7 +395,22 @@ class SmoothVariances:
     @cached_property
     def variance(self) -> np.ndarray:
         """Each part's posterior mean variance, over its functions' usual ones and the noise's level, (n_parts,)."""
-        variance = self.components.expected(self.accepted)
+        return self._visible(self.components.expected(self.accepted))
+
+    def drawn(self, number: int, rng: np.random.Generator) -> np.ndarray:
+        """Draw variances (number, n_parts) from the posterior of which `variance` is the mean."""
+        return self._visible(self.components.drawn(self.accepted, number, rng))
+
+    @property
+    def probabilities(self) -> dict[tuple[str, ...], float]:
+        """The posterior probabilities of smooth errors by inputs."""
+        none: dict[tuple[str, ...], float] = {}
+        for (inputs, _), sizes in zip(self.kinds, self.components.probabilities(self.accepted), strict=True):
+            none[inputs] = none.get(inputs, 1.0) * (1 - float(sizes.sum()))
+        return {inputs: 1 - absent for inputs, absent in none.items()}
+
+    def _visible(self, variance: np.ndarray) -> np.ndarray:
+        """Return variances (…, n_parts) that matter beside the noise, the others as zero."""
         shown = np.diag(self.products.functions)[self.informative]
         moved = np.bincount(self.part[self.informative], shown, len(self.kinds)) * variance
         return np.where(moved > VISIBLE * self.products.size, variance, 0.0)
@@ -508,7 +523,7 @@ class SlopeProducts:
         )
 
 
-def beyond_measured(errors: ErrorModel, sizes: SmoothVariances) -> ErrorModel:
+def beyond_measured(errors: ErrorModel, sizes: SmoothVariances, variance: np.ndarray) -> ErrorModel:
     """Return an error model extended beyond the measurement: curves past their travel, and drifts as random walks in time.
 
     A cause of the device's frame is a drift, too: its walk has the variance estimated without that cause, and starts from the
@@ -517,10 +532,12 @@ def beyond_measured(errors: ErrorModel, sizes: SmoothVariances) -> ErrorModel:
 
     Args:
         errors: the error model at the measured rows.
-        sizes: variances of the smooth errors beside the model.
+        sizes: what smooth errors there may be beside the model.
+        variance: of each of their parts, (n_parts,).
     """
     functions = [*_beyond_causes(sizes.result, sizes.data)]
-    return _beyond_time(errors.with_functions(functions, usual_sizes(sizes.result.model, functions)), sizes)
+    further = errors.with_functions(functions, usual_sizes(sizes.result.model, functions))
+    return _beyond_time(further, sizes, _walks(sizes, variance))
 
 
 def _beyond_causes(result: Fit, data: Measurements) -> Iterator[SmoothFunction]:
@@ -537,20 +554,21 @@ def _beyond_causes(result: Fit, data: Measurements) -> Iterator[SmoothFunction]:
             yield Cooling(data.robot, cause.id, once, cause.part, growth, end)
 
 
-def _beyond_time(errors: ErrorModel, sizes: SmoothVariances) -> ErrorModel:
+def _beyond_time(errors: ErrorModel, sizes: SmoothVariances, left: dict[str, float]) -> ErrorModel:
+    """Return it with walks in time; left are those beside the model (see `_walks`)."""
     result, data = sizes.result, sizes.data
     # Which session it was says all of its frame: the next one's is placed anew.
     causes = [
         effect for effect in result.model.effects if effect.family == OF_THE_FRAME and "session" not in effect.needs
     ]
-    steps, left = in_time(data), _walks(sizes)
+    steps = in_time(data)
     if not steps or not (causes or any(left.values())):
         return errors
     by_order = steps[0].clock == "order"
     if by_order:
         # The order starts anew in each measurement.
         errors = errors.only(lambda function: not isinstance(function, InTime))
-    walks = _walks(sizes.without(causes)) if causes else left
+    walks = _walks(apart := sizes.without(causes), apart.variance) if causes else left
     for of, walk in walks.items():
         functions: list[SmoothFunction]
         if by_order:
@@ -576,12 +594,12 @@ def _beyond_time(errors: ErrorModel, sizes: SmoothVariances) -> ErrorModel:
     return errors
 
 
-def _walks(sizes: SmoothVariances) -> dict[str, float]:
+def _walks(sizes: SmoothVariances, variance: np.ndarray) -> dict[str, float]:
     """Return the standard deviation of each quantity's random walk in time, over the usual one; 0 without a walk."""
-    level = sizes.components.level(sizes.variance)
+    level = sizes.components.level(variance)
     return {
-        functions[0].of: float(np.sqrt(level * variance))
-        for (_, functions), variance in zip(sizes.kinds, sizes.variance, strict=True)
+        functions[0].of: float(np.sqrt(level * own))
+        for (_, functions), own in zip(sizes.kinds, variance, strict=True)
         if isinstance(functions[0], InTime)
     }
 

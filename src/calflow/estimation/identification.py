@@ -156,8 +156,8 @@ def fit_effects(
             of_part = replace(result, problem=result.problem.only(some))
             out = left_out(of_part, np.unique(part.table["pose"], return_inverse=True)[1])
             sizes = SmoothVariances.of(result, means, device.known)
-            result, smooth = beside_smooth_errors(sizes, float(out.excess()))
-            errors = beyond_measured(smooth, sizes)
+            result, smooth = beside_smooth_errors(sizes, sizes.variance, float(out.excess()))
+            errors = beyond_measured(smooth, sizes, sizes.variance)
             if sizes.inputs:
                 say("left over: smooth errors of " + ", ".join(sizes.inputs))
         error = leading_errors(model, result.estimate, data)

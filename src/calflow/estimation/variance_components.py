@@ -128,10 +128,20 @@ class VarianceComponents:
         variances instead of the likeliest, standard deviations include the variances' uncertainty: of a Student t about 95 % lies
         within 1.96 of its standard deviations, from three degrees of freedom to very many.
         """
+        return np.asarray(self.probabilities(variance) @ (USUAL * SIZES**2))
+
+    def drawn(self, variance: np.ndarray, number: int, rng: np.random.Generator) -> np.ndarray:
+        """Draw variances (number, n_parts) from the posterior whose mean is `expected`; most are zero where nothing shows."""
+        sizes = np.append(USUAL * SIZES**2, 0.0)
+        every = (np.append(likely, max(1 - likely.sum(), 0.0)) for likely in self.probabilities(variance))
+        return np.array([rng.choice(sizes, number, p=likely) for likely in every]).reshape(self.n_parts, number).T
+
+    def probabilities(self, variance: np.ndarray) -> np.ndarray:
+        """Return the posterior probabilities (n_parts, n_sizes) of each part's SIZES over USUAL's; the rest is that of none."""
         parts = self._part_scores(variance, range(self.n_parts))
         for k in map(int, np.flatnonzero(variance > 0)):
             parts |= self._part_scores(np.where(np.arange(self.n_parts) == k, 0.0, variance), [k])
-        return np.array([parts[k].mean for k in range(self.n_parts)])
+        return np.array([parts[k].probabilities for k in range(self.n_parts)]).reshape(self.n_parts, len(SIZES))
 
     def degrees_of_freedom(self, variance: np.ndarray) -> np.ndarray:
         """Return the degrees of freedom of each part's variance, shape (n_parts,), as of a mean of squares of normals."""
@@ -228,13 +238,13 @@ class _PartScore:
         return self.growth / float(np.sqrt(2 / self._information))
 
     @property
-    def mean(self) -> float:
-        """Posterior mean of its functions' variance, over the usual one, on the grid of SIZES and zero."""
+    def probabilities(self) -> np.ndarray:
+        """Posterior probabilities of SIZES of its functions, over USUAL's, (n_sizes,); the rest is that of none."""
         fallen, narrowed = explained(*directions(USUAL * self.gram, np.sqrt(USUAL) * self.score))
         cost = self.of.cost_of_noise(self.chi2 - fallen) + narrowed
         likelier = np.clip((self.of.cost_of_noise(self.chi2) - cost) / 2, -700, 300)  # than none
         weight = PRIOR * np.exp(likelier) / self.of.n_parts
-        return float(weight @ (USUAL * SIZES**2) / (1 + weight.sum()))
+        return np.asarray(weight / (1 + weight.sum()))
 
 
 def directions(information: np.ndarray, score: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
