@@ -253,16 +253,21 @@ def test_real_fanuc(tmp_path):
 
 
 def diagnosed(
-    name: str, folder: Path, monkeypatch: pytest.MonkeyPatch, *options: str, causes: Sequence[str] = ()
+    name: str, folder: Path, monkeypatch: pytest.MonkeyPatch, *options: str, causes: Sequence[str] = (), every: int = 1
 ) -> pd.Series:
-    """Mean held-out errors [mm] from nominal to diagnosed, by all causes or these, of a study converted first."""
+    """Mean held-out errors [mm] from nominal to diagnosed, by all causes or these, of a study converted first.
+
+    One of so many of its rows to fit is kept.
+    """
     study = shutil.copytree(STUDIES / name, folder / name)
     with (study / "study.toml").open("a", encoding="utf-8") as file:
-        file.write(f"\n[stages.diagnose]\ncatalogue = {json.dumps(list(causes))}\n")
+        file.write(f"\n[stages.identify]\nstarts = 1\n\n[stages.diagnose]\ncatalogue = {json.dumps(list(causes))}\n")
     monkeypatch.setattr("sys.argv", ["convert.py"])
     runpy.run_path(str(study / "convert.py"), run_name="__main__")
+    if every > 1:
+        rows = pd.read_csv(study / "measurements.csv", dtype=str)
+        rows[(rows["split"] == "holdout") | (rows.index % every == 0)].to_csv(study / "measurements.csv", index=False)
     assert in_process("run", study / "study.toml", "--out", folder / "run", *options).code == 0
-    assert unreadable(of_run(study / "study.toml", folder / "run", "identify", "diagnose")) == []
     accuracy = pd.read_csv(folder / "run" / "diagnose" / "accuracy.csv")
     return accuracy.loc[accuracy["split"] == "holdout", "mean_mm"]
 
@@ -270,7 +275,10 @@ def diagnosed(
 @measured_data
 def test_a_positioner_s_base_and_target_are_found(tmp_path, monkeypatch):
     """Fails if full poses do not say where base and target are, or poses that no fit has seen are missed by more than 0.36 mm."""
-    held = diagnosed("positioner", tmp_path, monkeypatch)
+    few = ["joint-error-map", "joint-eccentricity", "frame-step"]  # of some forty that fanuc and the tutorial try
+    held = diagnosed("positioner", tmp_path, monkeypatch, causes=few)
+    study = tmp_path / "positioner" / "study.toml"
+    assert unreadable(of_run(study, tmp_path / "run", "identify", "diagnose")) == []
     assert held.iloc[0] < 0.45
     assert held.iloc[-1] <= 0.36
 
@@ -278,7 +286,9 @@ def test_a_positioner_s_base_and_target_are_found(tmp_path, monkeypatch):
 @measured_data
 def test_real_ur5(tmp_path, monkeypatch):
     """Fails if a device that wandered while one series was measured is taken for where it stands in another."""
-    held = diagnosed("ur5", tmp_path, monkeypatch, "--stage", "diagnose", causes=["joint-error-map", "frame-drift"])
+    held = diagnosed(
+        "ur5", tmp_path, monkeypatch, "--stage", "diagnose", causes=["joint-error-map", "frame-drift"], every=2
+    )
     assert held.iloc[1] <= 0.101
     assert held.iloc[-1] <= 0.06
 

@@ -21,6 +21,7 @@ from plugin import install
 
 COMPLIANCE = (2e-6, 2e-6, 3e-6)  # rad/Nm
 ALIKE = ("joint-eccentricity", "periodic-joint-error", "joint-error-map")  # an eccentricity, and what may pass for one
+EVERY_STAGE = ("select", "identify", "diagnose", "sample", "report")
 LIMITS = np.deg2rad([[-170, 170], [-100, 40], [-20, 140]])
 
 
@@ -56,12 +57,9 @@ def study(
     made: Simulated,
     values: pd.DataFrame,
     settings: str,
-    causes: Sequence[str] = (),
+    stages: Sequence[str] = EVERY_STAGE,
 ) -> dict[str, str]:
-    """Write a study of these values (in the order of the rows), its kind installed as a package; return the environment.
-
-    It looks for these causes, or for all.
-    """
+    """Write a study of these values (in the order of the rows), its kind installed as a package; return the environment."""
     source = Path(__file__).parent / f"{kind.__module__.rpartition('.')[2]}.py"
     module = f"another_{source.stem}"
     install(
@@ -77,9 +75,9 @@ def study(
     folder.edit(
         "study.toml",
         ('file = "measurements.csv"\n', f'file = "measurements.csv"\nkind = "{kind.id}"\n{settings}'),
-        ("poses = 8\n", f"poses = 12\n\n[stages.diagnose]\ncatalogue = {json.dumps(list(causes))}\n"),
+        ("poses = 8\n", f"poses = 12\n\n[stages.diagnose]\ncatalogue = {json.dumps(ALIKE)}\n"),
     )
-    folder.edit("quick.toml", ('"identify", "sample"]', '"identify", "diagnose", "sample", "report"]'))
+    folder.edit("quick.toml", ('["select", "identify", "sample"]', json.dumps(stages)))
     path = os.pathsep.join(filter(None, (str(site), os.environ.get("PYTHONPATH"))))
     return {**os.environ, "PYTHONPATH": path, "PYTHONIOENCODING": "utf-8"}
 
@@ -104,7 +102,28 @@ class Found:
 def all_the_way(
     folder: Folder, environment: dict[str, str], made: Simulated, odd: int, unit: str, eccentric: float
 ) -> Found:
-    """Check, run, predict and report; hold all of it against what was hidden.
+    """Check, run every stage and predict; hold all of it against what was hidden, as for `calibrated`."""
+    told = said(folder, environment, "check", ".")
+    assert f"line {odd + 2} is " in told
+    assert f" {unit} off from the fit of all other rows" in told
+    assert f" {unit}, max" in told
+    assert "nan" not in told
+    found = calibrated(folder, environment, made, odd, unit, eccentric)
+    posterior = pd.read_csv(folder / "runs" / "sample" / "posterior.csv").set_index("parameter")
+    spring = found.parameters.loc["joint2.s"]
+    assert posterior.loc["joint2.s", "mean"] == pytest.approx(spring["estimate"], abs=spring["sd"])
+    assert len(pd.read_csv(folder / "runs" / "select" / "poses.csv")) == 12
+    page = (folder / "runs" / "report.html").read_text(encoding="utf-8")
+    assert f"error of what was measured [{unit}]" in page or f" {unit} on average" in page
+    assert (folder / "runs" / "report.pdf").stat().st_size > 10_000
+    _holds_where_it_predicts(folder, environment, made)
+    return found
+
+
+def calibrated(
+    folder: Folder, environment: dict[str, str], made: Simulated, odd: int, unit: str, eccentric: float
+) -> Found:
+    """Run, and hold what is identified and diagnosed against what was hidden.
 
     Args:
         folder: of the study.
@@ -114,11 +133,6 @@ def all_the_way(
         unit: in which errors are told.
         eccentric: the size of the second joint's eccentricity [rad].
     """
-    told = said(folder, environment, "check", ".")
-    assert f"line {odd + 2} is " in told
-    assert f" {unit} off from the fit of all other rows" in told
-    assert f" {unit}, max" in told
-    assert "nan" not in told
     told = said(folder, environment, "run", ".", "--out", "runs")
     assert f"mean {unit}" in told
     assert "calibration reduces the error from" in told
@@ -142,15 +156,6 @@ def all_the_way(
     for joint in (2, 3):
         own = parameters.loc[f"joint{joint}.s"]
         assert abs(own["estimate"] - made.robot.compliance[joint - 1]) < 3 * own["sd"]
-    posterior = table("sample/posterior").set_index("parameter")
-    assert posterior.loc["joint2.s", "mean"] == pytest.approx(
-        parameters.loc["joint2.s", "estimate"], abs=parameters.loc["joint2.s", "sd"]
-    )
-    assert len(table("select/poses")) == 12
-    page = (folder / "runs" / "report.html").read_text(encoding="utf-8")
-    assert f"error of what was measured [{unit}]" in page or f" {unit} on average" in page
-    assert (folder / "runs" / "report.pdf").stat().st_size > 10_000
-    _holds_where_it_predicts(folder, environment, made)
     judged = accuracy[accuracy["split"] == "holdout"]
     return Found(float(judged["mean"].iloc[0]), float(judged["mean"].iloc[-1]), parameters)
 

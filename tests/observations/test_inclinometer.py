@@ -61,7 +61,7 @@ print(found.summary.status, found.summary.unit, found.summary.tolerance, found.s
 
 def _holds_in_its_unit(folder, environment):
     """Rows that were held out are judged in mrad, and err by what was promised of them."""
-    done = folder.apart("-c", VALIDATED, env=environment)
+    done = folder.forked("-c", VALIDATED, env=environment)
     assert done.returncode == 0, done.stderr
     assert done.stdout.split() == ["met", "mrad", "1.0", "None", "known"]
     models = pd.read_csv(folder / "validated.csv").set_index("model")

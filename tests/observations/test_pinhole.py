@@ -1,4 +1,4 @@
-"""A robot calibrated by one camera's pixels alone: nothing after the graph asks what was observed."""
+"""A robot calibrated by one camera's pixels alone: nothing after the graph asks what was observed; see test_inclinometer.py."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 from hidden.causes import Hidden
-from observations.newcomer import ALIKE, all_the_way, simulated, study
+from observations.newcomer import calibrated, simulated, study
 from observations.pinhole import Pinhole
 
 NOISE, ODD = 0.05, 23  # px, and the row whose marker was mistaken
@@ -25,14 +25,14 @@ def image(made):
     return pd.DataFrame(seen, columns=["u_px", "v_px"])
 
 
-def test_pixels_go_all_the_way(small, tmp_path):
-    """Fails if anything between the graph and page one asks whether it was lengths that were measured."""
+def test_pixels_find_what_is_hidden(small, tmp_path):
+    """Fails if anything between the graph and the findings asks whether it was lengths that were measured."""
     made = simulated(90, 8, Hidden("joint-eccentricity", 2, ECCENTRIC, 2))
     settings = (
         f"sigma_px = {NOISE}\n\n[measurements.settings]\nfocal_px = {FOCAL}\nmiddle_px = {list(MIDDLE)}\n"
         "origin_mm = [3500, 400, 900]\nrotation_deg = [-90, -90, 0]\n"
     )
-    environment = study(small, tmp_path / "site", Pinhole, made, image(made), settings, ALIKE)
-    found = all_the_way(small, environment, made, ODD, "px", ECCENTRIC)
+    environment = study(small, tmp_path / "site", Pinhole, made, image(made), settings, ("identify", "diagnose"))
+    found = calibrated(small, environment, made, ODD, "px", ECCENTRIC)
     assert 0.3 < found.nominal < 5.0
     assert found.left < 3 * NOISE

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from hidden.causes import Hidden
-from observations.newcomer import ALIKE, said, simulated, study
+from observations.newcomer import said, simulated, study
 from observations.spring_balance import SpringBalance
 
 NOISE, PULL = 2e-5, 0.2  # m, N
@@ -40,7 +40,9 @@ def both(small, tmp_path):
     """The study of both, and the environment in which the balance is installed."""
     made = simulated(80, 11, Hidden("joint-eccentricity", 2, 6e-4, 2))
     positions, tensions = measured(made)
-    environment = study(small, tmp_path / "site", SpringBalance, made, tensions, "", ALIKE)
+    environment = study(
+        small, tmp_path / "site", SpringBalance, made, tensions, "", ("select", "identify", "diagnose", "report")
+    )
     rows = small.rows
     small.measure(rows, "tensions.csv")
     small.measure(rows.drop(columns="tension_N").join(positions))

@@ -27,7 +27,7 @@ effects = ["geometry"]
 """
 QUICK = """\
 name = "quick"
-stages = ["select", "identify", "diagnose", "sample", "report"]
+stages = STAGES
 
 [settings.select]
 poses = 40
@@ -81,6 +81,10 @@ angle_arcsec = 1
 """
 
 
+STAGES = {(WIRE,): ["select", "identify", "diagnose"], (CUPS,): ["select", "identify", "diagnose", "sample"]}
+OF_MANY = ["identify", "diagnose", "report"]
+
+
 @dataclass(frozen=True)
 class Eccentric(Arm):
     """A robot whose third joint does not run true."""
@@ -115,19 +119,13 @@ def study(tables, tmp_path):
 
     def write(*series: str) -> Folder:
         shutil.copy(ROBOT, tmp_path / "robot.toml")
-        alone = unsampled(QUICK).replace(', "report"', "") if series == (CUPS,) else unsampled(QUICK)
-        (tmp_path / "quick.toml").write_text(QUICK if len(series) > 1 else alone)
+        (tmp_path / "quick.toml").write_text(QUICK.replace("STAGES", json.dumps(STAGES.get(series, OF_MANY))))
         (tmp_path / "study.toml").write_text(STUDY + "".join(series))
         for name, table in tables.items():
             written(table).to_csv(tmp_path / f"{name}.csv", index=False)
         return Folder(tmp_path)
 
     return write
-
-
-def unsampled(workflow: str) -> str:
-    """The workflow without its sampling, which the mixture of all has, as it has a report of sockets."""
-    return workflow.replace('"sample", ', "").partition("\n[settings.sample]")[0] + "\n"
 
 
 def finished(folder: Folder) -> dict[str, pd.DataFrame]:
