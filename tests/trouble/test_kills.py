@@ -14,10 +14,9 @@ def whole(tmp_path_factory):
         yield kills.unbroken(tmp_path_factory.mktemp("kills"))
 
 
-@pytest.mark.parametrize("number", [0, 1])
-def test_a_killed_run_goes_on_to_the_same_bytes(whole, tmp_path, number):
+def test_a_killed_run_goes_on_to_the_same_bytes(whole, tmp_path):
     """Fails if what a killed run leaves keeps the next one from its end, or changes a bit of a table, or lies about afterwards."""
-    assert kills.killed(whole, tmp_path / "run", seed=20, number=number).wrong == ""
+    assert kills.killed(whole, tmp_path / "run", seed=20, number=0).wrong == ""
 
 
 def test_another_table_is_noticed(whole, tmp_path):
