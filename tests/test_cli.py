@@ -175,7 +175,7 @@ def test_ctrl_c_is_heeded_inside_a_fit(small):
         for line in running.stdout:
             if line.startswith("identify: "):
                 break
-        time.sleep(1.5)  # well inside the fit
+        time.sleep(0.7)  # well inside the fit
         running.send_signal(signal.SIGINT)
         err = running.communicate(timeout=60)[1]
     assert running.returncode == 130, err

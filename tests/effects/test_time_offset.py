@@ -15,7 +15,7 @@ from observations.photographed import UR5E, Arm, Photographs, board, photographe
 from observations.test_camera import study
 
 IMAGES = 20
-BOARD = board(5, 4, 0.05)
+BOARD = board(4, 3, 0.06)
 SPEEDS = [f"speed{i}_rad_per_s" for i in range(1, 7)]
 ACCELERATIONS = [f"acceleration{i}_rad_per_s2" for i in range(1, 7)]
 ONLY = '\n[stages.diagnose]\ncatalogue = ["time-offset", "joint-eccentricity", "camera-slip", "board-bent"]\n'

@@ -30,7 +30,7 @@ def turned(q: np.ndarray) -> np.ndarray:
 
 def seen(n: int, hidden: bool, bow: float = 0.0) -> Photographs:
     """Photographs by a worn arm, whose readings may say another angle of the third joint, of a board bowed by so many metres."""
-    flat = board()
+    flat = board(6, 4, 0.04)
     points = flat + np.outer((2 * flat[:, 0] / flat[:, 0].max() - 1) ** 2, [0, 0, bow])
     made = photographed(UR5E, True, n, np.random.default_rng(11), points=points)
     made.rows["px_z_mm"] = 0.0

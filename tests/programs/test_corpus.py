@@ -62,8 +62,8 @@ PROJECTS = {  # of which maker, and their files
     "RAPID": ("RAPID", RAPID), "KRL": ("KRL", KRL), "FANUC": ("FANUC", FANUC), "URScript": ("URScript", URSCRIPT),
     "ABB backup": ("RAPID", on_disk("abb")), "KUKA backup": ("KRL", on_disk("kuka")),
 }  # fmt: skip
-MUTATIONS = 10  # of each project
-MUTATED = 2  # of each program, in one thing that means another
+MUTATIONS = 6  # of each project
+MUTATED = 1  # of each program, in one thing that means another
 HANDS = 1  # of each program, in several things that mean the same
 STATES = {"RAPID": as_rapid, "KRL": as_krl, "FANUC": as_fanuc, "URScript": as_urscript}
 REMARK = {

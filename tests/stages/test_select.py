@@ -198,7 +198,7 @@ def test_what_the_plan_tells_apart_is_said_where_it_is_asked_for(small):
     said = selected(small, "")[2]
     assert "causes" not in said
     assert not (small / "runs" / "select" / "isolability.csv").exists()
-    said = selected(small, "isolability = true\nrecords = []", out="told")[2]
+    said = selected(small, 'isolability = true\nrecords = ["travel", "time", "temperature"]', out="told")[2]
     table = pd.read_csv(small / "told" / "select" / "isolability.csv")
     package = json.loads((small / "told" / "datapackage.json").read_text(encoding="utf-8"))
     assert "select/isolability.csv" in {resource["path"] for resource in package["resources"] if "schema" in resource}
