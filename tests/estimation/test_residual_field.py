@@ -58,7 +58,7 @@ def test_it_fades_to_nothing_outside_and_says_so(field):
 def test_noise_alone_is_never_corrected():
     """Fails if what is left by chance is taken for a gain more often than once in a hundred cases."""
     found = 0
-    for seed in range(30):
+    for seed in range(20):
         rng = np.random.default_rng([5, seed])
         q = rng.uniform(LOW, HIGH, (40, 4))
         nodes = Nodes(q, NOISE * rng.standard_normal((40, 3)), NOISE, 0.1)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from hidden.causes import Hidden
 from hidden.test_hidden import case, found, only
 
@@ -22,7 +24,7 @@ LOADED = {  # benchmarks/hidden_cases.py has all of them, and of the forms below
 
 def test_what_goes_with_the_load_is_found(tmp_path) -> None:
     """Breaks if a cause that its load drives is missed, called something else with certainty, or found at another joint."""
-    loaded = LOADED["friction wind-up, and wave under load"]
+    loaded = replace(LOADED["friction wind-up, and wave under load"], settings=IN_JOINTS)
     seen = found(tmp_path, loaded, 11)
     assert len(seen.causes) == len(loaded.hidden), seen.causes
     for hidden in loaded.hidden:
