@@ -14,6 +14,7 @@ from calflow.diagnosis.screening import Catalogue
 from calflow.estimation.calibrated_model import Alternative
 from calflow.estimation.fit import fit_reweighted
 from calflow.estimation.identification import fit_effects
+from calflow.estimation.variance_components import SIZES
 from calflow.model import build
 from calflow.study import load_study
 from estimation.data import POSES, stated, wavering
@@ -42,21 +43,22 @@ def at_its_poses(fitted):
 def test_a_lacking_cause_is_that_of_a_joint_fit(fitted, causes):
     """Fails if a cause's amplitude, or what it changes of the parameters, is not that of a fit of both together."""
     lacking = max(causes, key=lambda cause: cause.probability)
-    r = fitted.regressors([lacking.score.cause])
-    x = r.matrix.times(np.eye(r.matrix.shape[1]))
+    r = fitted.regressors([lacking.cause])
+    x, n = r.matrix.times(np.eye(r.matrix.shape[1])), len(r.precision)
     both = np.hstack([r.jacobian, x])
-    precision = np.diag(np.concatenate([r.precision, r.prior_sd**-2.0]))
-    scale = np.diag(precision) ** -0.5
-    whole = np.linalg.inv(np.outer(scale, scale) * (both.T @ both + precision)) * np.outer(scale, scale)
-    mean = -whole @ (both.T @ r.residual + np.concatenate([r.pull, np.zeros(x.shape[1])]))
-    n = len(r.precision)
-    np.testing.assert_allclose(lacking.score.estimate, mean[n:], atol=1e-3 * np.sqrt(np.diag(whole)[n:]).max())
-    np.testing.assert_allclose(lacking.score.covariance, whole[n:, n:], rtol=1e-3)
-    alone = np.linalg.inv(np.outer(scale, scale)[:n, :n] * (r.jacobian.T @ r.jacobian + precision[:n, :n]))
-    alone *= np.outer(scale[:n], scale[:n])
-    np.testing.assert_allclose(
-        lacking.response, -alone @ r.jacobian.T @ x, rtol=1e-3, atol=1e-6 * np.abs(lacking.response).max()
-    )
+    for size, found, covariance in zip(SIZES, lacking.mean, lacking.covariance, strict=True):
+        precision = np.concatenate([r.precision, (size * r.prior_sd) ** -2.0])
+        scale = precision**-0.5
+        whole = np.linalg.inv(np.outer(scale, scale) * (both.T @ both + np.diag(precision))) * np.outer(scale, scale)
+        mean = -whole @ (both.T @ r.residual + np.concatenate([r.pull, np.zeros(x.shape[1])]))
+        np.testing.assert_allclose(found, mean[n:], atol=1e-3 * np.sqrt(np.diag(whole)[n:]).max())
+        np.testing.assert_allclose(covariance, whole[n:, n:], rtol=1e-3)
+    alone = np.linalg.inv((np.outer(scale, scale) * (both.T @ both + np.diag(precision)))[:n, :n])
+    response = -(np.outer(scale, scale)[:n, :n] * alone) @ r.jacobian.T @ x
+    np.testing.assert_allclose(lacking.response, response, rtol=1e-3, atol=1e-6 * np.abs(response).max())
+    drawn = lacking.drawn(20_000, np.random.default_rng(1))
+    second = np.einsum("ki,kj->ij", drawn, drawn) / len(drawn)
+    np.testing.assert_allclose(second, lacking.root @ lacking.root.T, rtol=0.2, atol=0.05 * np.diag(second).max())
 
 
 def test_a_fit_that_lacks_nothing_is_believed_to(fitted, causes):

@@ -78,7 +78,7 @@ def uncertainties(
 ) -> list[Uncertainty]:
     """Return the sources of uncertainty of the tool over the task, with their effect at the candidate poses."""
     model, estimate, errors = fitted.model, fitted.fit.estimate, of_robot(fitted.errors)
-    asked = [*errors.functions, *(suspect.score.cause for suspect in suspects)]
+    asked = [*errors.functions, *(suspect.cause for suspect in suspects)]
     _, slopes = probed(planned.problem(model, estimate, choices.conditions), estimate, asked)
     slopes = slopes.reshape(len(choices), -1, slopes.shape[1])
     n, smooth = len(estimate), len(estimate) + len(errors.sd)
@@ -98,8 +98,7 @@ def uncertainties(
     free = slopes[:, :, np.flatnonzero(~fitted.fit.at_bound)]
     ends = smooth + np.cumsum([0, *(suspect.response.shape[1] for suspect in suspects)])
     for suspect, moved, start, end in zip(suspects, at_task.by(suspects), ends[:-1], ends[1:], strict=True):
-        mean, spread = suspect.score.estimate, np.linalg.cholesky(suspect.score.covariance)
-        root = np.sqrt(suspect.probability) * np.column_stack([mean, spread])
+        root = np.sqrt(suspect.probability) * suspect.root
         root = root @ _most_moving(moved @ root)
         uncertainties.append(
             Uncertainty(suspect.name, (slopes[:, :, start:end] + free @ suspect.response) @ root, moved @ root)

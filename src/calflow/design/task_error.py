@@ -18,7 +18,7 @@ import scipy
 from calflow.design.discrimination import rows_like
 from calflow.design.planned import Measure, Planned, Task
 from calflow.diagnosis.fitted import Fitted
-from calflow.diagnosis.screening import Catalogue, Score, by_place, place_probabilities
+from calflow.diagnosis.screening import Catalogue, by_place, place_probabilities
 from calflow.diagnosis.stepwise import Linearisation
 from calflow.diagnosis.verdict import label
 from calflow.effects import Effect
@@ -38,19 +38,35 @@ NOTHING = "nothing"
 
 @dataclass(frozen=True, eq=False)
 class LackingCause:
-    """A cause that the model may lack: the likeliest form at its place, and the place's probability.
+    """A cause that the model may lack: the likeliest form at its place, with the place's probability.
 
-    response (n_free, n): change of the fitted parameters by a unit of each of the cause's.
+    sizes (n_sizes,): posterior probabilities of its sizes; mean (n_sizes, n), covariance (n_sizes, n, n): of its parameters by
+    size; response (n_free, n): change of the fitted parameters by a unit of each.
     """
 
-    score: Score[Cause]
+    cause: Cause
     probability: float
+    sizes: np.ndarray
+    mean: np.ndarray
+    covariance: np.ndarray
     response: np.ndarray
 
     @property
     def name(self) -> str:
         """Its id and joint."""
-        return label(self.score.cause.id, self.score.cause.joint)
+        return label(self.cause.id, self.cause.joint)
+
+    @property
+    def root(self) -> np.ndarray:
+        """A root R (n, n) of its parameters' second moment R Rᵀ."""
+        second = self.mean[:, :, None] * self.mean[:, None, :] + self.covariance
+        return np.linalg.cholesky(np.tensordot(self.sizes, second, 1))
+
+    def drawn(self, number: int, rng: np.random.Generator) -> np.ndarray:
+        """Draw its parameters (number, n)."""
+        size = rng.choice(len(self.sizes), number, p=self.sizes)
+        spread = np.linalg.cholesky(self.covariance)[size] @ rng.standard_normal((number, self.mean.shape[1], 1))
+        return np.asarray(self.mean[size] + spread[:, :, 0])
 
 
 def lacking_causes(fitted: Fitted, catalogue: Catalogue) -> tuple[LackingCause, ...]:
@@ -58,9 +74,10 @@ def lacking_causes(fitted: Fitted, catalogue: Catalogue) -> tuple[LackingCause, 
     screening = Linearisation.at(fitted, catalogue).beside
     places = by_place(screening.scores)
     likely = place_probabilities(places)
+    best = ((likely[place], score.candidate) for place, (_, score) in places.items())
     return tuple(
-        LackingCause(score, likely[place], screening.imitation(score.candidate.columns))
-        for place, (_, score) in places.items()
+        LackingCause(found.cause, probability, *screening.amplitudes(found.columns), screening.imitation(found.columns))
+        for probability, found in best
     )
 
 
@@ -133,10 +150,10 @@ class TaskSlopes:
     def by(self, causes: Sequence[LackingCause]) -> list[np.ndarray]:
         """Return for each cause the tool's displacement by a unit of each of its parameters, after refitting, (n_points, 3, n)."""
         free = self.slopes[:, :, np.flatnonzero(~self.fitted.fit.at_bound)]
-        moved = self.moved(tuple(cause.score.cause for cause in causes))
+        moved = self.moved(tuple(cause.cause for cause in causes))
         ends = np.cumsum([0, *(cause.response.shape[1] for cause in causes)])
         return [
-            free @ cause.response + (0.0 if cause.score.cause.of_measuring() else moved[:, :, start:end])
+            free @ cause.response + (0.0 if cause.cause.of_measuring() else moved[:, :, start:end])
             for cause, start, end in zip(causes, ends[:-1], ends[1:], strict=True)
         ]
 
@@ -164,7 +181,7 @@ def task_error(
     """
     likely = np.array([cause.probability for cause in causes])
     drawn = rng.choice(len(causes) + 1, TASK_DRAWS, p=[*likely, 1 - likely.sum()])
-    # A misfit is a cause or smooth, and hardly ever both. Smooth errors have an independent part of their own.
+    # A misfit is a cause, smooth with an independent part of its own, or independent, and hardly ever two of these.
     variances = fitted.smooth.drawn(SIZE_DRAWS, rng)[np.arange(TASK_DRAWS) % SIZE_DRAWS]
     variances[drawn < len(causes)] = 0.0
     error, lacking = np.empty((2, TASK_DRAWS, len(at_task.slopes), 3))
@@ -173,6 +190,7 @@ def task_error(
         error[draws], lacking[draws] = _drawn(at_task, variance, len(draws), rng)
     sizes, probable = independent_sizes(fitted)
     independent, excess = rng.choice(sizes, TASK_DRAWS, p=probable), fitted.left_out.drawn(TASK_DRAWS, rng)
+    independent[drawn < len(causes)] = 0.0
     independent, excess = np.where(variances.any(axis=1), 0.0, (independent, excess))
     error *= (_noise_levels(fitted, rng) * np.hypot(1.0, independent))[:, None, None]
     alone = np.hypot(excess, independent * fitted.problem.scatter)
@@ -185,8 +203,8 @@ def task_error(
             lacking[chosen == k] += moved[:, :, k]
     there = np.unique(drawn[drawn < len(causes)])
     for k, moved in zip(there, at_task.by([causes[k] for k in there]), strict=True):
-        draws, score = np.flatnonzero(drawn == k), causes[k].score
-        lacking[draws] += np.einsum("nab,kb->kna", moved, score.estimate + _normal(len(draws), score.covariance, rng))
+        draws = np.flatnonzero(drawn == k)
+        lacking[draws] += np.einsum("nab,kb->kna", moved, causes[k].drawn(len(draws), rng))
     taught = at_task.taught
     error, lacking = (
         off - ((off.reshape(TASK_DRAWS, -1) @ taught) @ taught.T).reshape(off.shape) for off in (error, lacking)
@@ -209,12 +227,6 @@ def _drawn(
     smooth = np.einsum("nas,ks->kna", factors[:, :, n:], drawn[:, n:], optimize=True)
     smooth += here.expected(at_task.slopes, errors.offset)
     return error, smooth + errors.rest * rng.standard_normal(smooth.shape)
-
-
-def _normal(number: int, covariance: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Draw so many normal vectors (number, n) about zero."""
-    value, turned = np.linalg.eigh(covariance)
-    return np.asarray(rng.standard_normal((number, len(value))) * np.sqrt(np.maximum(value, 0.0)) @ turned.T)
 
 
 def _noise_levels(fitted: Fitted, rng: np.random.Generator) -> np.ndarray:

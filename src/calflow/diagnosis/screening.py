@@ -22,7 +22,7 @@ import scipy
 from calflow.diagnosis.regressors import Candidate, H, Regressors
 from calflow.effects import Effect, catalogue, effect_class
 from calflow.effects.base import parts
-from calflow.estimation.variance_components import explained, log_likelihood, mixed
+from calflow.estimation.variance_components import LOG_PRIOR, SIZES, directions, explained, log_likelihood, mixed
 from calflow.measurements.measurements import Measurements
 
 # Level of the smallest p-value at which the bootstrap determines the equivalent number of tests.
@@ -273,6 +273,18 @@ class Screening(Generic[H]):
     def imitation(self, columns: np.ndarray) -> np.ndarray:
         """Return the change of the fit's free parameters by a unit of some columns, (n_free, n_columns)."""
         return np.asarray(-scipy.linalg.solve_triangular(self._factor.T, self._projected[:, columns], lower=False))
+
+    def amplitudes(self, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the posterior probabilities of SIZES (n_sizes,) of some columns, if they act, and for each their amplitudes.
+
+        Means are of shape (n_sizes, n), covariances (n_sizes, n, n).
+        """
+        sd = self.regressors.prior_sd[columns]
+        shown, score = self.information(columns) * np.outer(sd, sd), sd * self.score[columns]
+        fallen, narrowed = explained(*directions(shown, score))
+        logs = log_likelihood(fallen / self.chi2, narrowed, self.degrees_of_freedom) + LOG_PRIOR
+        covariance = np.linalg.inv(shown + np.eye(len(columns)) / SIZES[:, None, None] ** 2)
+        return scipy.special.softmax(logs), -sd * (covariance @ score), covariance * np.outer(sd, sd)
 
     @cached_property
     def degrees_of_freedom(self) -> float:
