@@ -50,12 +50,12 @@ def test_the_reader_is_told_to_correct_the_file(small: Context) -> None:
     """Fails if a fault is not told on page one, a whole column after single rows, or without its lines."""
     material = report_material(small.study, small.results, small.run_folder)
     text = source("", [("", section.FAULTS_SECTION.write(material))])
-    for words in ("line 4", "left out", "all rows", "corrected", "The position in line 4 is 9 mm off; left out."):
+    for words in ("line 4", "left out", "all rows", "corrected", "The position in line 4 is 9 mm off. Left out."):
         assert words in text
     told = [item.sentence for item in advice(RunOutcome(small.results)) if item.sentence.startswith("Correct the meas")]
     assert told == [
         "Correct the measurement file: joint 1: all readings have the wrong sign.",
-        "Correct the measurement file: the position in line 4 is 9 mm off; left out.",
+        "Correct the measurement file: the position in line 4 is 9 mm off. Left out.",
     ]
 
 
@@ -73,7 +73,8 @@ def test_an_unsettled_mistake_is_the_one_thing_to_do(small: Context) -> None:
     assert "nothing: settle it first" in text
     assert not [words for words in ("corrected", "left out", "all rows") if words in text]
     (only,) = advice(RunOutcome(results))
-    assert only.sentence == f"Do not use this result. There is a mistake in the robot file: {statement}."
+    said = "a of joint 3 is mistyped. Expected about a_mm = 1075 for joint 3 in the robot file, found 1105."
+    assert only.sentence == f"Do not use this result. There is a mistake in the robot file: {said}"
     assert judgement(RunOutcome(results)) == "Do not use this model: a mistake is to be settled first."
     assert not [one.title for one in chosen(sections(), material) if "causes" in one.title]
 

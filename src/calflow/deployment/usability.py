@@ -11,10 +11,12 @@ import scipy
 from calflow.deployment.figures_alone import EffortLevel
 from calflow.deployment.in_space import is_no_better, over_ranges
 from calflow.deployment.run_outcome import RunOutcome
+from calflow.diagnosis.findings import Finding
+from calflow.effects.base import effect_class
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.model_tables import FitSummary
 from calflow.files.units import METRE
-from calflow.files.words import mm, percent, plural
+from calflow.files.words import listed, mm, percent, plural
 
 USELESS = 0.95  # share of the nominal error above which calibration gained nothing
 FAR_OFF = 0.1  # share of the measured space's extent by which a nominal robot may miss
@@ -27,7 +29,9 @@ NOTED = 0.01  # share of poses without a certain gain above which it is reported
 PARTLY = 0.2  # share of poses without a certain gain from which the verdict says so
 NOTICED = 0.1  # share of the mean error due to noise below which a loss is negligible
 USABLE = "Usable for the poses, tools and loads that were measured"
-EVEN = 0.5  # probability that the calibrated tool is nearer, below which the nominal robot is the better one
+EVEN = (
+    0.5  # probability below which the other is likelier: that the tool is nearer calibrated, that a cause has this name
+)
 
 
 # Where the advice is carried out: in a file, at the robot, with equipment that is still missing.
@@ -99,6 +103,8 @@ def judgement(outcome: RunOutcome) -> str:
         return f"{USABLE}, but {plural(len(missed), 'pose')} {off} {outcome.accuracy[0].unit}."
     if any(finding.status == "unexplained" for finding in outcome.findings):
         return f"{USABLE}; a part of the error is unexplained."
+    if summary.new_poses_mm is not None and summary.times_noise > 1 and not summary.lacks_fit:
+        return f"Calibrated with few poses: at new ones expect an RMS error of {summary.at_new_poses}."
     if math.isnan(times):
         return f"{USABLE}; the instrument's noise is not known."
     if times <= ENOUGH and not summary.lacks_fit:
@@ -106,8 +112,6 @@ def judgement(outcome: RunOutcome) -> str:
             return (
                 f"{USABLE}; at {percent(outcome.no_gain)} of these poses no gain over the maker's figures is certain."
             )
-        if summary.new_poses_mm is not None and summary.times_noise > 1:
-            return f"Calibrated with few poses: at new ones expect an RMS error of {summary.at_new_poses}."
         return "Calibrated: only the instrument's noise is left."
     return f"{USABLE}; {'the model lacks something' if summary.lacks_fit else 'whether more than noise is left is not certain'}."
 
@@ -125,7 +129,7 @@ def warning(outcome: RunOutcome) -> str | None:
 def mistake_unsettled(outcome: RunOutcome) -> list[Advice]:
     """An unsettled mistake of the user affects everything fitted: it is the only advice."""
     return [
-        Advice(1, f"Do not use this result. There is a mistake in the {row.where}: {row.statement}.")
+        Advice(1, f"Do not use this result. There is a mistake in the {row.where}: {row.sentences}")
         for row in outcome.faults
         if row.action == "unsettled"
     ]
@@ -236,6 +240,32 @@ def loss_by_chance(outcome: RunOutcome) -> float:
         if len(lost) > 1 and lost.std() > 0
         else 1.0
     )
+
+
+def look_for_reason(outcome: RunOutcome) -> list[Advice]:
+    """A cause of the measuring is in the model, and may act on later rows in another way: its reason is to be found."""
+    kinds = [(finding, effect_class(finding.cause)) for finding in outcome.findings if finding.is_cause]
+    found = [(finding, kind) for finding, kind in kinds if kind and kind.of_measuring() and not kind.is_noise()]
+    tests = dict.fromkeys(
+        f" To be sure, {kind.told_by}." for finding, kind in found if kind.told_by and not finding.others
+    )
+    sentence = (
+        f"Find the reason: {listed(labels([finding for finding, _ in found]), 3)}. The calibration allows for it; if it happens "
+        f"again, later measurements are off.{''.join(tests)}"
+    )
+    return [Advice(2, sentence)] if found else []
+
+
+def labels(causes: Sequence[Finding]) -> list[str]:
+    """Return the causes' names, with details that date or distinguish them; an unlikely one is named as one of several."""
+    words = []
+    for finding in causes:
+        kind, others = effect_class(finding.cause), len(finding.others) if finding.name_probability < EVEN else 0
+        several = [cause.name for cause in causes].count(finding.name) > 1
+        shown = finding.detail and (several or (kind and kind.dated and not finding.of_family))
+        another = f" or {'another' if others == 1 else f'one of {others} others'}" if others else ""
+        words.append(f"{finding.name}{f' ({finding.detail})' if shown else ''}{another}")
+    return words
 
 
 FIT_RULES: tuple[Rule, ...] = (noise_contradicted, nominal_far_off, not_converged, no_better_in_space)

@@ -253,6 +253,7 @@ class Effect(ABC):
     tag: ClassVar[str] = "{id}{variant}"  # in its parameters' names; empty for the maker's own figures
     inevitable: ClassVar[bool] = False  # whether every robot has it, in about its usual size
     side_by_side: ClassVar[bool] = False  # whether two variants (two orders, say) may act at the same place
+    dated: ClassVar[bool] = False  # whether its detail says since when it acts
     grows_with: ClassVar[str] = ""  # for noise: the condition of a row with which it grows
 
     @abstractmethod

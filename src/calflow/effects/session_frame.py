@@ -36,6 +36,7 @@ class SessionFrame(Effect):
     whole = "sessions"
     family = OF_THE_FRAME
     needs = ("session",)
+    dated = True
     told_by = "measure points fixed to the floor, and some poses again, in each session"
 
     @classmethod

@@ -31,6 +31,7 @@ class StepChange(Effect):
     moment: float = 0.5
 
     needs: ClassVar[tuple[str, ...]] = ("order",)
+    dated: ClassVar[bool] = True
     shift_sd: ClassVar[float] = 3e-4  # m
     turn_sd: ClassVar[float] = 1e-4  # rad
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from calflow.files.deferred import pd
 from calflow.files.tables import column
+from calflow.files.words import first_up
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import IN_ORDER, approach_and_travel, numbered
 from calflow.observations.base import observation_kinds
@@ -48,6 +49,12 @@ class FaultyRow:
     factor: float = column("factor applied to the quantity", default=1.0)
     offset: float = column("offset added after that", "SI", default=0.0)
     source: int = column("number of the row whose measured values replace its own; 0: none", default=0)
+
+    @property
+    def sentences(self) -> str:
+        """The statement with its clauses as sentences."""
+        first, *others = self.statement.split("; ")
+        return " ".join(f"{clause}." for clause in (first, *map(first_up, others)))
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from calflow.deployment.usability import (
     WITH_MORE,
     Advice,
     Rule,
+    look_for_reason,
     mistake_unsettled,
 )
 from calflow.deployment.validation import Validation
@@ -89,7 +90,7 @@ def correct_the_file(outcome: RunOutcome) -> list[Advice]:
     """Faults of a file are to be corrected in it once and for all; possible ones are to be checked."""
     faults = [rows for rows in faults_by_rows(outcome) if rows[0].action != "unsettled"]
     advised = [
-        Advice(2, f"{'Check' if row.action == 'told' else 'Correct'} the {row.where}: {row.statement}.")
+        Advice(2, f"{'Check' if row.action == 'told' else 'Correct'} the {row.where}: {row.sentences}")
         for row, *_ in faults[:TOLD]
     ]
     further = f"{plural(len(faults) - TOLD, 'further fault')}, see the section on data faults"
@@ -159,7 +160,7 @@ def model_lacks(outcome: RunOutcome) -> list[Advice]:
         f"The error left is larger than the instrument's noise explains: something is missing in the model, or {doubt}. See the "
         "residuals against each joint; a trend there points to the cause."
     )
-    return advise(2, sentence, where=times > LACKS and not unexplained)
+    return advise(2, sentence, where=(times > LACKS or summary.lacks_fit) and not unexplained)
 
 
 def noise_doubtful(outcome: RunOutcome) -> list[Advice]:
@@ -348,7 +349,7 @@ def advised_poses(outcome: RunOutcome) -> list[Advice]:
             f"Measure the {plural(len(poses), 'pose')} of diagnose/next_poses.csv that distinguish {name} from {listed(others, 2)}."
             f"{left_open}"
         )
-    return [Advice(3, sentence, poses=len(poses)) for sentence, poses in zip(sentences, plans.values(), strict=True)]
+    return [Advice(3, sentence, poses=len(outcome.next_poses)) for sentence in sentences]
 
 
 def other_means(outcome: RunOutcome) -> list[Advice]:
@@ -531,7 +532,7 @@ RULES: Mapping[str, tuple[Rule, ...]] = {
         does_not_carry_over,
         reaches_beyond,
     ),
-    "diagnose/summary.json": (*CAUSE_RULES, look_for_structure, advised_poses, other_means, untested),
+    "diagnose/summary.json": (*CAUSE_RULES, look_for_reason, look_for_structure, advised_poses, other_means, untested),
     "identify/residuals.csv": (flagged_rows,),
     "identify/parameters.csv": (at_bound,),
     "identify/placement.csv": (second_marker, unseen_compliance),

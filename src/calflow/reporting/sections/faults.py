@@ -38,7 +38,7 @@ def _data_faults(material: Material) -> list[Block]:
     return [
         Paragraph(" ".join([FOUND, *meant, *([UNCHANGED] if actions & {"corrected", "left out"} else [])]), keep=True),
         Table(("fault", "joint", "in the", "lines", "what was done"), rows, "lrlll", wide=3),
-        *(Paragraph(f"{first_up(rows[0].statement)}.") for rows in faults),
+        *(Paragraph(first_up(rows[0].sentences)) for rows in faults),
     ]
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from calflow.deployment.figures_alone import GIVEN, MEANT, NOT_COMPUTED, EffortLevel
 from calflow.deployment.in_space import over_ranges
 from calflow.deployment.run_outcome import RunOutcome
-from calflow.deployment.usability import Advice, judgement, least_effort, mistake_unsettled, no_gain_words
+from calflow.deployment.usability import Advice, judgement, labels, least_effort, mistake_unsettled, no_gain_words
 from calflow.diagnosis.findings import Finding
 from calflow.effects.base import UNEXPLAINED, cause_family, place_name
 from calflow.estimation.accuracy import Accuracy
@@ -52,8 +52,8 @@ from calflow.reporting.style import ACCENT, DARK, LIGHT, figure, mark_floor
 
 NOISE_UNKNOWN = "its noise is not known, so its share of the error is not known either"
 ALL_KNOWN = "Nothing: the data determine every parameter."
-FINE = "Use it for the tools, loads and places that were measured: nothing needs attention there."
-FINE_IN_SIMULATION = "Measure the real robot: in the simulation nothing needs attention."
+FINE = "Use it for the tools, loads and places that were measured."
+FINE_IN_SIMULATION = "Measure the real robot."
 CAPPED = (
     "As many causes were found as were allowed. There may be more: their share of the error is left, or attributed to those "
     "found."
@@ -68,8 +68,7 @@ CORRECTED = (
     "controller keeps the maker's figures."
 )
 TRADES = 3  # trades on the first page
-LIKELIER = 0.5  # probability below which a finding is more likely one of its rivals
-RIVALS = 3  # rivals of a finding named on the first page
+RIVALS = 2  # rivals of a finding named on the first page
 PARAMETERS_NAMED = 4  # parameters of a trade that the first page names
 WHAT_FOLLOWS = (
     "The pages before this one have the result. The following are for whoever checks, continues or repeats the calibration: the "
@@ -160,7 +159,7 @@ def _when(material: Material) -> list[tuple[str, str]]:
     if material.summary.new_poses_mm is None or not moments or moments[-1] < LASTING * moments[0]:
         return []
     grows = f"from {mm(moments[0])} to {mm(moments[-1])} mm a day later"
-    return [("When:", f"the promised error grows {grows}, as device or robot may change.")]
+    return [("When:", f"the promised error grows {grows}, as device or robot may change: check some poses before use.")]
 
 
 def where_words(certainty: Certainty) -> str:
@@ -265,8 +264,8 @@ def lacked(outcome: RunOutcome) -> list[str | tuple[str, str]]:
         more = outcome.unexplained or outcome.lack_of_fit_words
         tested = f"{summary.causes_tested} causes were tested"
         unseen = f" {first_up(summary.unseen)}." if summary.unseen else ""
-        return [f"No cause explains what is left: {tested}.{unseen}" if more else f"Nothing: {tested}.{unseen}"]
-    every = [(cause, _or_another(cause, label)) for cause, label in zip(causes, labels(causes), strict=True)]
+        return [f"No cause explains what is left: {tested}.{unseen}" if more else f"No cause: {tested}.{unseen}"]
+    every = list(zip(causes, labels(causes), strict=True))
     named = [pair for pair in every if not pair[0].is_suspicion]
     suspected = [name for cause, name in every if cause.is_suspicion]
     worth = [pair for pair in named if not _gains_nothing(pair[0])]
@@ -283,23 +282,6 @@ def lacked(outcome: RunOutcome) -> list[str | tuple[str, str]]:
     if summary.capped:
         items.append(CAPPED)
     return items
-
-
-def labels(causes: Sequence[Finding]) -> list[str]:
-    """Return the causes' names, with details where a name is not unique."""
-    names = [finding.name for finding in causes]
-    return [
-        f"{finding.name} ({finding.detail})" if names.count(finding.name) > 1 and finding.detail else finding.name
-        for finding in causes
-    ]
-
-
-def _or_another(finding: Finding, name: str) -> str:
-    """Return the name of a finding; one with a probability below one half is named as one of several."""
-    n = len(finding.others)
-    if not n or not finding.name_probability < LIKELIER:
-        return name
-    return f"{name} or {'another' if n == 1 else f'one of {n} others'}"
 
 
 def _gains_nothing(finding: Finding) -> bool:
@@ -326,11 +308,13 @@ def unsure(outcome: RunOutcome) -> list[str]:
         if UNEXPLAINED in finding.cannot_tell_from:
             sentences.append(f"Whether {finding.name} is real or part of the unexplained error.")
         elif finding.status == "one_of" and finding.others:
-            nearest = [rival.name for rival in finding.others[:RIVALS]]
-            more = len(finding.others) - len(nearest)
-            rest = [f"one of {more} more"] if more > 1 else [rival.name for rival in finding.others[RIVALS:]]
-            sentences.append(f"Which is the cause: {' or '.join([finding.name, *nearest, *rest])}.")
+            more = len(finding.others) - RIVALS
+            names = [finding.name, *(rival.name for rival in finding.others[: RIVALS + (more == 1)])]
+            *first, last = [*names, f"one of {more} more"] if more > 1 else names
+            sentences.append(f"Which is the cause: {', '.join(first)} or {last}.")
     left = outcome.unexplained
+    if not left and outcome.lack_of_fit_words:
+        return [*sentences, "Why more is left than noise: no cause explains it."]
     why = f"Why an error depends on {outcome.structure}: no cause is certain."
     gain = max((finding.gain[0] for finding in left if finding.gain[1] > 0), default=0.0)
     worth = f" It accounts for at least {mm(gain)} {left[0].error_unit} of the mean error." if gain else ""
@@ -367,7 +351,7 @@ def _trade_sentences(trades: Sequence[Statement], outcome: RunOutcome) -> Iterat
         yield f"{first_up(spoken([first], outcome))} cannot be separated from {spoken(rest, outcome)}."
     if further := len(trades) - len(named):
         several = f"{further} {'more ' if named else ''}{'combination' if further == 1 else 'combinations'}"
-        yield f"{several} of many parameters. The errors above do not depend on that."
+        yield f"{several} of many parameters cannot be determined. The errors above do not depend on that."
 
 
 def statement_words(statement: Statement) -> str:
@@ -409,7 +393,7 @@ def enough_words(every: Sequence[EffortLevel], least: EffortLevel | None, tolera
     if tolerance:
         return f"{first_up(name)} {'are' if least.level != 'nothing' else 'already are'} enough for the tolerance."
     gained = least.mean - every[-1].mean
-    more = f"only {mm(gained)} {least.unit}" if gained > 0 else "nothing"
+    more = f"only {mm(gained)} {least.unit}" if round(gained, 3) > 0 else "nothing"
     return f"{first_up(name)} are enough: corrected commands gain {more} on average."
 
 
