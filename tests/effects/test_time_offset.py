@@ -8,8 +8,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import calflow as cf
 from calflow.calibration import Calibration
 from calflow.effects.time_offset import TimeOffset
+from calflow.templates import library_file
 from conftest import in_process
 from observations.photographed import UR5E, Arm, Photographs, board, photographed
 from observations.test_camera import study
@@ -76,3 +78,24 @@ def rests_without_speeds(found: Calibration) -> None:
     at_rest = found.predict(q)
     moved = found.predict(q, speed=np.full((1, 6), 0.3))
     np.testing.assert_array_equal(moved.position, at_rest.position)
+
+
+def tracked(rng: np.random.Generator, arm: Arm, late: float, n: int) -> dict[str, np.ndarray]:
+    """Readings and speeds of an arm in motion, and where a tracker saw its ball so much later [s]."""
+    q, speed = rng.uniform(-2, 2, (n, 6)), 0.3 * rng.normal(size=(n, 6))
+    seen = arm.links(q + late * speed)[-1] @ np.array([0.06, 0.03, 0.1, 1.0])
+    return {"q": q, "speed": speed, "position": seen[:, :3] + 3e-5 * rng.normal(size=(n, 3))}
+
+
+def test_an_arm_that_is_measured_again_as_it_moves_keeps_its_promise(tmp_path):
+    """Fails if the delay that a calibration found is taken for an error of the robot where later rows state their speeds."""
+    rng, late = np.random.default_rng(5), 2e-3
+    (tmp_path / "robot.toml").write_text(library_file("ur5e"), encoding="utf-8")
+    robot = replace(cf.Robot.from_toml(tmp_path / "robot.toml"), markers={"ball": cf.Marker((0.06, 0.03, 0.1))})
+    worn = UR5E.worn(rng)
+    first, again = (cf.Measurements.from_arrays(robot, **tracked(rng, worn, late, n), sigma=3e-5) for n in (60, 40))
+    found = cf.identify(robot, first.split(holdout=0.2), effects=["geometry", "time-offset"])
+    checked = found.validate(again)
+    poses = checked.results.tables["poses.csv"]
+    assert 0.7 < np.sqrt(np.mean((poses["calibrated"] / poses["promised"]) ** 2)) < 1.4
+    assert found.drift(again).summary.status == "in place"

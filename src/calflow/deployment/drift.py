@@ -33,6 +33,7 @@ from calflow.design.optimality import ParameterCriterion
 from calflow.design.search import greedy
 from calflow.design.t_optimality import Pair, TCriterion, propose
 from calflow.estimation.calibrated_model import CalibratedModel, shared_errors
+from calflow.estimation.needed_conditions import AT_REST
 from calflow.files.problems import InputError, refuse
 from calflow.files.tables import StoredResults, column
 from calflow.files.toml import FalseAlarm, Seed, checked_arguments
@@ -310,7 +311,7 @@ def drift(
         raise refuse("expected rows, found none", key="data")
     if not data.has_positions:
         raise refuse("expected a measured position in every row: what moved is told by positions alone", key="data")
-    given = tuple(need.condition for need in calibrated.needed if need.condition in data.given)
+    given = data.stating([*AT_REST, *(need.condition for need in calibrated.needed)]).given
     calibrated = calibrated.later(given, data)
     attained = Attained.of(calibrated, data)
     stood, _ = stands(attained, station)

@@ -25,7 +25,7 @@ from calflow.deployment.figures_alone import FiguresAlone
 from calflow.deployment.prediction import beyond_limits, of_field
 from calflow.deployment.tolerance import Errors
 from calflow.estimation.calibrated_model import CalibratedModel
-from calflow.estimation.needed_conditions import check_stated
+from calflow.estimation.needed_conditions import AT_REST, check_stated
 from calflow.files.problems import refuse
 from calflow.files.tables import StoredResults, column
 from calflow.files.toml import Confidence, Count, checked_arguments
@@ -214,9 +214,9 @@ def validate(
     """
     sent = _sent(data, sent, figures)
     check_stated(calibrated.needed, data.given)
-    # The device's wander is in its readings, not in the robot's pose: it is predicted where the time is stated.
-    wanders = {*calibrated.errors.inputs} & {*data.given}
-    given = data.stating([*wanders, *(need.condition for need in calibrated.needed)]).given
+    # Wander and delay of the device are in its readings, not in the robot's pose: predicted where time and speeds are stated.
+    of_device = {*calibrated.errors.inputs, *AT_REST} & {*data.given}
+    given = data.stating([*of_device, *(need.condition for need in calibrated.needed)]).given
     stated = calibrated.later(given, data)
     attained = Attained.of(stated, data, figures)
     _check_tolerance(tolerance, attained.unit)
