@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from types import SimpleNamespace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from calflow.programs import correction
 from calflow.programs.aims import FilterSettings
-from calflow.programs.calibrated_robot import Axes
+from calflow.programs.calibrated_robot import Axes, CorrectedReadings
 from calflow.programs.correction import Filtered
 from calflow.programs.target import ArmPosture, Program
 
@@ -260,11 +259,11 @@ class Hand:
         """No arm at all."""
         return [ArmPosture((), None, None)] * len(readings)
 
-    def corrected(self, readings: np.ndarray, names: list[str]) -> tuple[SimpleNamespace, list[None]]:
+    def corrected(self, readings: np.ndarray, names: list[str], visits: list[int]) -> CorrectedReadings:
         """Readings with the shift, and nothing in the way."""
         n = len(readings)
         shifted = readings + np.array(self.shift)
-        return SimpleNamespace(readings=shifted, remaining=np.zeros(n), sd=np.zeros((n, 3)), notes=()), [None] * n
+        return CorrectedReadings(shifted, tuple(shifted[:, None]), np.zeros(n), np.zeros((n, 3)), (None,) * n, ())
 
 
 def filtered(program: Program, corrector: Hand, choices: FilterSettings) -> Filtered:

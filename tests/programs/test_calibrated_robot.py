@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -160,9 +161,9 @@ def test_a_controller_shows_the_readings_that_its_configuration_means():
     asked: list[np.ndarray] = []
 
     class Watched(CalibratedRobot):
-        def corrected(self, readings, names):
+        def corrected(self, readings, names, visits):
             asked.append(readings)
-            return super().corrected(readings, names)
+            return super().corrected(readings, names, visits)
 
     watched = Watched(corrector.calibrated, corrector.rows)
     done = filtered(parsed(SHOWN.encode(), Path("poses.ls")), watched, FilterSettings({}, {}))
@@ -224,28 +225,62 @@ def test_joints_at_a_singularity_are_told_from_what_is_out_of_reach():
     assert (row.outcome, row.reason) == ("not reached", "singularity")
 
 
-def test_joints_that_come_from_either_side_are_told_apart():
-    """Fails if play is not made up for by the side from which a joint comes, as the order of the targets has it."""
+def with_play(b: float) -> CalibratedRobot:
+    """An arm that is as its maker says but for play b [rad] of joint 2, and moves in the order of its programs."""
     plain = calibrated(industrial(), ("geometry", "joint-backlash"))
     names = [parameter.name for parameter in plain.calibrated.model.parameters]
-    estimate = plain.calibrated.estimate.copy()
-    play = next(k for k, name in enumerate(names) if name.startswith("joint2") and name.endswith(".b"))
-    estimate[play] = 1e-3
+    estimate = np.zeros(len(names))
+    estimate[next(k for k, name in enumerate(names) if name.startswith("joint2") and name.endswith(".b"))] = b
     given = ("approach", "travel")
     known = replace(plain.calibrated, estimate=estimate, model=replace(plain.calibrated.model, given=given))
     needed = NeededCondition(condition="approach", effects=("joint-backlash",), columns="approach1", spread_mm=1.0)
-    corrector = CalibratedRobot(replace(known, needed=(needed,)), plain.rows, in_order=True)
-    readings = np.tile(usual(plain, 1), (3, 1))
-    readings[1, 1] += 0.2
+    return CalibratedRobot(replace(known, needed=(needed,)), plain.rows, in_order=True)
+
+
+def rapid_joints(readings: np.ndarray, moves: Sequence[int]) -> str:
     joints = [",".join(f"{v:.6f}" for v in np.rad2deg(one)) for one in readings]
     lines = [f"  CONST jointtarget j{k}:=[[{one}],{NO_AXES}];" for k, one in enumerate(joints)]
-    source = "\n".join(["MODULE M", *lines, "ENDMODULE", ""]).encode()
-    program = parsed(source, Path("m.mod"))
+    goes = [f"    MoveAbsJ j{k},v100,fine,tool0;" for k in moves]
+    return "\n".join(["MODULE M", *lines, "  PROC main()", *goes, "  ENDPROC", "ENDMODULE", ""])
+
+
+def fanuc_joints(readings: np.ndarray, moves: Sequence[int]) -> str:
+    goes = [f"   {n}:J P[{k + 1}] 100% FINE    ;" for n, k in enumerate(moves, 1)]
+    lines = []
+    for k, one in enumerate(np.rad2deg(readings), 1):
+        axes = ", ".join(f"J{j} = {v:.6f} deg" for j, v in enumerate(one, 1))
+        lines += [f"P[{k}]{{", "   GP1:", f"    UF : 0, UT : 1,    {axes}", "};"]
+    return "\n".join(["/PROG  P", "/ATTR", "/MN", *goes, "/POS", *lines, "/END", ""])
+
+
+def test_joints_that_come_from_either_side_are_told_apart():
+    """Fails if play is not made up for by the side from which a joint comes, as the order of the targets has it."""
+    b, corrector = 1e-3, with_play(1e-3)
+    readings = np.tile(usual(corrector, 1), (3, 1))
+    readings[1, 1] += 0.2
+    program = parsed(rapid_joints(readings, ()).encode(), Path("m.mod"))
     done = filtered(program, corrector, FilterSettings({}, {}))
     after = parsed(done.source, Path("m.mod")).targets
     moved = [new.values[1] - old.values[1] for old, new in zip(program.targets, after, strict=True)]
-    assert abs(moved[2] - moved[1]) == pytest.approx(abs(moved[1]) + abs(moved[2]), rel=1e-6)
-    assert abs(moved[1]) > 1e-4
+    np.testing.assert_allclose(moved, [0, -b / 2, b / 2], atol=2e-8)
+
+
+@pytest.mark.parametrize(("written", "name"), [(rapid_joints, "m.mod"), (fanuc_joints, "p.ls")])
+def test_sides_of_approach_follow_from_the_moves_not_from_the_declarations(written, name):
+    """Fails if play is made up for by the order in which targets are declared, or by one side where moves come from both."""
+    b, corrector = 1e-3, with_play(1e-3)
+    readings = np.tile(usual(corrector, 1), (4, 1))
+    readings[:, 1] += [0.0, 0.1, 0.2, 0.3]
+    moves = [0, 2, 1, 3, 2, 3]  # joint 2 comes to number 1 from above, to 2 from either side, to 3 from below
+    program = parsed(written(readings, moves).encode(), Path(name))
+    done = filtered(program, corrector, FilterSettings({}, {}))
+    after = parsed(done.source, Path(name)).targets
+    moved = np.array([new.values[1] - old.values[1] for old, new in zip(program.targets, after, strict=True)])
+    sides = np.array([0, -1, 0, 1])
+    np.testing.assert_allclose(moved, -sides * b / 2, atol=2e-8)
+    remaining = {row.name: row.remaining_mm for row in done.rows}
+    (between,) = [mm for mm in remaining.values() if mm > 0.01]
+    assert between == remaining[program.targets[2].name]
 
 
 def test_what_nothing_tells_follows_the_target_before():
@@ -259,7 +294,7 @@ def test_what_nothing_tells_follows_the_target_before():
     done = filtered(parsed(source, Path("p.script")), corrector, FilterSettings({}, {}))
     assert [row.outcome for row in done.rows] == ["moved"] * 5
     assert all("nearest to the target before" in row.note for row in done.rows[1:])
-    plain, _ = corrector.corrected(way, list("abcde"))
+    plain = corrector.corrected(way, list("abcde"), range(5))
     told = np.rad2deg(np.abs(plain.readings - way).max(axis=1))
     np.testing.assert_allclose([row.largest_deg for row in done.rows], told, rtol=1e-4)
 

@@ -138,6 +138,17 @@ def aims_of(
     return aims, doubtful
 
 
+def visits(aims: Sequence[Aim], files: Sequence[str]) -> list[int]:
+    """Return which aim each move goes to, in the order of the moves in the files; an aim without moves where it stands."""
+    place = {file: k for k, file in enumerate(files)}
+    moves = []
+    for k, aim in enumerate(aims):
+        uses = (aim.use,) if aim.use else tuple(use for use in aim.target.uses if use.line and not use.computed)
+        spots = [(use.file, use.line, use.span or (0, 0)) for use in uses]
+        moves += [(place[file], line, span, k) for file, line, span in spots or [(aim.file, aim.target.line, (0, 0))]]
+    return [k for *_, k in sorted(moves)]
+
+
 def _norm_problem(target: Target) -> str:
     """Return what is wrong with the norm of a target's quaternion, in words; empty if nothing."""
     length = float(np.linalg.norm(target.values[3:])) if target.turn == "quaternion" else 1.0

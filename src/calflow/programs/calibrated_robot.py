@@ -16,7 +16,6 @@ import scipy
 
 from calflow.deployment.compensation import (
     DRAWN,
-    Compensation,
     Targets,
     base_placement,
     compensate_rows,
@@ -190,11 +189,27 @@ def _rotated(vector: ca.DM, axis: ca.SX, angle: ca.SX) -> ca.SX:
 
 
 @dataclass(frozen=True)
+class CorrectedReadings:
+    """Readings (n, n_joints) with which the real flange lands where targets have it; remaining (n,), sd (n, 3) [m].
+
+    ways: for each target the readings (k, n_joints) that land from the side of each of its moves; a target has one
+    correction, the middle of these. reasons: why a target is not reached, or None.
+    """
+
+    readings: np.ndarray
+    ways: tuple[np.ndarray, ...]
+    remaining: np.ndarray
+    sd: np.ndarray
+    reasons: tuple[Reason | None, ...]
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class CalibratedRobot:
     """A calibrated robot with its controller's nominal kinematics; poses (4, 4) are in the robot's base, in SI.
 
-    rows: returns the rows of readings (n, n_joints), with payload and conditions; in_order: whether the targets are
-    visited in this order, so that each joint's side of approach follows from it.
+    rows: returns the rows of readings (n, n_joints), with payload and conditions; in_order: whether the robot moves in
+    the order of the file, so that each joint's side of approach follows from it.
     """
 
     calibrated: CalibratedModel
@@ -305,13 +320,16 @@ class CalibratedRobot:
         """Return the postures of the arm at readings (n, n_joints)."""
         return self._arm.postures(readings)
 
-    def corrected(self, readings: np.ndarray, names: Sequence[str]) -> tuple[Compensation, list[Reason | None]]:
+    def corrected(self, readings: np.ndarray, names: Sequence[str], visits: Sequence[int]) -> CorrectedReadings:
         """Return readings that bring the real flange to its nominal pose at given readings (n, n_joints).
 
-        With them, for each target, why it is not reached, or None. names: the targets' names in notes.
+        names: the targets' names in notes; visits: which target each move goes to, in order, every target once or more.
         """
+        order = np.array(visits) if self.in_order else np.arange(len(readings))
+        moves = [np.flatnonzero(order == k) for k in range(len(readings))]
+        readings = readings[order]
         data = self.rows(readings)
-        data = replace(data, table=data.table.assign(pose=list(names)))
+        data = replace(data, table=data.table.assign(pose=np.array(names)[order]))
         # For base and tool only, so that sides of approach may be missing here.
         stated = as_stated(self.calibrated, data, "widen")
         _, tool = _frames(stated.calibrated.model, self.calibrated.estimate, stated.data.conditions)
@@ -323,15 +341,23 @@ class CalibratedRobot:
         )
         change = np.abs(landed.readings - readings).max(axis=1)
         reasons: list[Reason | None] = [
-            None if reached and far < LARGEST_CHANGE else "singularity" if reached else "out of reach"
-            for reached, far in zip(landed.reached, change, strict=True)
+            "out of reach"
+            if not landed.reached[k].all()
+            else None
+            if change[k].max() < LARGEST_CHANGE
+            else "singularity"
+            for k in moves
         ]
-        if not oriented:
-            note = (
-                f"{len(self.axes.arm)} joints cannot correct the orientation: only the marker's position is corrected"
-            )
-            landed = replace(landed, notes=(*landed.notes, note))
-        return landed, reasons
+        note = f"{len(self.axes.arm)} joints cannot correct the orientation: only the marker's position is corrected"
+        ways = tuple(landed.readings[k] for k in moves)
+        return CorrectedReadings(
+            np.stack([(way.max(axis=0) + way.min(axis=0)) / 2 for way in ways]),
+            ways,
+            np.array([landed.remaining[k].max() for k in moves]),
+            np.stack([landed.sd[k[0]] for k in moves]),
+            tuple(reasons),
+            landed.notes if oriented else (*landed.notes, note),
+        )
 
     @cached_property
     def _arm(self) -> ArmGeometry:

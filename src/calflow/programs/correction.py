@@ -13,13 +13,14 @@ import numpy as np
 from calflow.deployment.conventions import angle_between, inverse
 from calflow.files.problems import Problem, refuse_any
 from calflow.files.tables import column
-from calflow.programs.aims import Aim, FilterSettings, aims_of, all_targets, second_targets
+from calflow.programs.aims import Aim, FilterSettings, aims_of, all_targets, second_targets, visits
 from calflow.programs.calibrated_robot import CalibratedRobot
 from calflow.programs.edits import PLACE_STEP, Edit, to_flags, to_pose, to_readings, with_edits
 from calflow.programs.postures import following, with_intended_readings
 from calflow.programs.target import UNASKED, ArmPosture, Flag, Program, Reason, Skipped, Target
 
 SHARED_SHARE = 0.5  # a computed pose counts as corrected if its remaining error is below this share of its correction
+FROM_SIDES = "moves come to it from either side of a joint's play, and land {:.3f} mm to either side"
 Outcome = Literal["moved", "unchanged", "follows", "not reached", "left alone"]
 FAILURES: Mapping[Reason, str] = {
     "singularity": "at a singularity: the correction would turn a joint by more than 10 degrees",
@@ -110,7 +111,9 @@ def filtered(programs: Sequence[Program], corrector: CalibratedRobot, choices: F
         for aim in resolved
         if aim.readings is None
     ]
-    edits, corrected, notes = _corrected([aim for aim in resolved if aim.readings is not None], corrector)
+    edits, corrected, notes = _corrected(
+        [aim for aim in resolved if aim.readings is not None], [program.file for program in programs], corrector
+    )
     sources = {program.file: program.source for program in programs}
     by_file: dict[str, list[Edit]] = {file: [] for file in sources}
     for file, change in second_targets(resolved, edits, sources):
@@ -126,50 +129,57 @@ def filtered(programs: Sequence[Program], corrector: CalibratedRobot, choices: F
 
 
 def _corrected(
-    aims: Sequence[Aim], corrector: CalibratedRobot
+    aims: Sequence[Aim], files: Sequence[str], corrector: CalibratedRobot
 ) -> tuple[dict[tuple[str, int, str], list[Edit]], list[FilteredTarget], tuple[str, ...]]:
-    """Return the edits and the rows of aims with known readings, and the notes of the correction."""
+    """Return the edits and the rows of aims with known readings, and the notes of the correction.
+
+    Aims that follow come last, since their poses are computed from those written; files: in their order.
+    """
+    if not aims:
+        return {}, [], ()
     edits: dict[tuple[str, int, str], list[Edit]] = {}
-    rows, notes = [], dict[str, None]()
+    rows = []
     poses: dict[tuple[str, int, str], np.ndarray] = {}  # as written to the file
-    # Aims that follow come second, since their poses are computed from those written.
-    for group in ([aim for aim in aims if not aim.follows], [aim for aim in aims if aim.follows]):
-        if not group:
+    readings = np.stack([aim.readings for aim in aims if aim.readings is not None])
+    correction = corrector.corrected(readings, [aim.target.name for aim in aims], visits(aims, files))
+    before, after = corrector.flange(readings), corrector.flange(correction.readings)
+    ways = np.split(
+        corrector.flange(np.concatenate(correction.ways)), np.cumsum([len(w) for w in correction.ways])[:-1]
+    )
+    turned = 1e3 * angle_between(before, after)
+    postures = list(zip(corrector.postures(readings), corrector.postures(correction.readings), strict=True))
+    for k, aim in enumerate(aims):
+        remaining, sd = 1e3 * float(correction.remaining[k]), 1e3 * float(np.linalg.norm(correction.sd[k]))
+        if reason := correction.reasons[k]:
+            rows.append(_row(aim, "not reached", FAILURES[reason], reason=reason, remaining_mm=remaining))
             continue
-        readings = np.stack([aim.readings for aim in group if aim.readings is not None])
-        correction, reasons = corrector.corrected(readings, [aim.target.name for aim in group])
-        notes |= dict.fromkeys(correction.notes)
-        before, after = corrector.flange(readings), corrector.flange(correction.readings)
-        turned = 1e3 * angle_between(before, after)
-        postures = list(zip(corrector.postures(readings), corrector.postures(correction.readings), strict=True))
-        for k, aim in enumerate(group):
-            remaining, sd = 1e3 * float(correction.remaining[k]), 1e3 * float(np.linalg.norm(correction.sd[k]))
-            if reason := reasons[k]:
-                rows.append(_row(aim, "not reached", FAILURES[reason], reason=reason, remaining_mm=remaining))
-                continue
-            old, new = readings[k], correction.readings[k]
-            tool = aim.tool @ aim.use.computed.after if aim.use and aim.use.computed else aim.tool
-            if aim.follows:
-                sent = aim.frame @ poses[aim.key] @ inverse(aim.tool) if aim.key in poses else before[k]
-                remaining += _distance_mm(sent, after[k], tool)
-            moved = _distance_mm(before[k], after[k], tool)
-            figures: dict[str, Any] = {
-                "moved_mm": moved, "turned_mrad": float(turned[k]), "remaining_mm": remaining,
-                "largest_deg": float(np.rad2deg(np.abs(new - old).max())), "promised_mm": math.hypot(remaining, sd),
-            }  # fmt: skip
-            if aim.follows:
-                shared: Reason | None = "shared" if remaining > max(SHARED_SHARE * moved, 1e3 * PLACE_STEP) else None
-                note = f"is computed from {aim.copy or aim.target.name}, whose correction it shares"
-                rows.append(_row(aim, "follows", note, reason=shared, **figures))
-                continue
-            pose = inverse(aim.frame) @ after[k] @ aim.tool
-            if aim.target.turn:
-                poses[aim.key] = pose
-            written, flags = _written(aim.target, new[list(corrector.axes.arm)], pose, postures[k])
-            edits[aim.key] = [*written, *to_flags(flags)]
-            changed = "; ".join(f"{flag.text} > {text}" for flag, text in flags)
-            rows.append(_row(aim, "moved" if written else "unchanged", aim.note, configuration=changed, **figures))
-    return edits, rows, tuple(notes)
+        old, new = readings[k], correction.readings[k]
+        tool = aim.tool @ aim.use.computed.after if aim.use and aim.use.computed else aim.tool
+        beside = max(_distance_mm(way, after[k], tool) for way in ways[k])
+        remaining += beside
+        if aim.follows:
+            sent = aim.frame @ poses[aim.key] @ inverse(aim.tool) if aim.key in poses else before[k]
+            remaining += _distance_mm(sent, after[k], tool)
+        moved = _distance_mm(before[k], after[k], tool)
+        figures: dict[str, Any] = {
+            "moved_mm": moved, "turned_mrad": float(turned[k]), "remaining_mm": remaining,
+            "largest_deg": float(np.rad2deg(np.abs(new - old).max())), "promised_mm": math.hypot(remaining, sd),
+        }  # fmt: skip
+        if aim.follows:
+            shared: Reason | None = "shared" if remaining > max(SHARED_SHARE * moved, 1e3 * PLACE_STEP) else None
+            note = f"is computed from {aim.copy or aim.target.name}, whose correction it shares"
+            rows.append(_row(aim, "follows", note, reason=shared, **figures))
+            continue
+        pose = inverse(aim.frame) @ after[k] @ aim.tool
+        if aim.target.turn:
+            poses[aim.key] = pose
+        written, flags = _written(aim.target, new[list(corrector.axes.arm)], pose, postures[k])
+        edits[aim.key] = [*written, *to_flags(flags)]
+        changed = "; ".join(f"{flag.text} > {text}" for flag, text in flags)
+        sides = FROM_SIDES.format(beside) if beside > 1e3 * PLACE_STEP else ""
+        note = "; ".join(filter(None, (aim.note, sides)))
+        rows.append(_row(aim, "moved" if written else "unchanged", note, configuration=changed, **figures))
+    return edits, rows, correction.notes
 
 
 def _written(

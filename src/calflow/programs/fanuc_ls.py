@@ -63,7 +63,7 @@ def read_fanuc(source: bytes, file: str) -> Program:
         )
         return Program("fanuc", source, (), (), tools, frames, file)
     sections = _sections(text)
-    relative, skipped = _moves(sections["/MN"]) if "/MN" in sections else ({}, [])
+    relative, lines, skipped = _moves(sections["/MN"]) if "/MN" in sections else ({}, {}, [])
     targets = []
     if "/POS" in sections:
         part = sections["/POS"]
@@ -77,7 +77,9 @@ def read_fanuc(source: bytes, file: str) -> Program:
                 reason = f"is an increment (INC) of the move in line {relative[number]}"
                 skipped.append(Skipped(position.name, position.line, "relative", reason))
             else:
-                targets.append(position)
+                (use,) = position.uses
+                uses = tuple(replace(use, file=file, line=line) for line in lines.get(number, ()))
+                targets.append(replace(position, uses=uses or (use,)))
     skipped.sort(key=lambda entry: entry.line)
     return Program("fanuc", source, tuple(targets), tuple(skipped), {"0": NOWHERE}, {"0": NOWHERE}, file)
 
@@ -139,9 +141,11 @@ def _sections(text: str) -> dict[str, _Section]:
     return sections
 
 
-def _moves(section: _Section) -> tuple[dict[int, int], list[Skipped]]:
-    """Return from /MN the points used as increments (INC), with the line, and the moves that cannot be corrected."""
+def _moves(section: _Section) -> tuple[dict[int, int], dict[int, list[int]], list[Skipped]]:
+    """Return from /MN the points used as increments (INC), with the line, the lines of moves to each point, and the
+    moves that cannot be corrected."""
     relative: dict[int, int] = {}
+    lines: dict[int, list[int]] = {}
     skipped = []
     for k, line in enumerate(re.split(r"\r\n|\r|\n", section.text)):
         number = section.line + k
@@ -150,6 +154,8 @@ def _moves(section: _Section) -> tuple[dict[int, int], list[Skipped]]:
         if not MOTION.match(line):
             continue
         code = line.split("!", 1)[0]
+        for point in POINT.findall(code):
+            lines.setdefault(int(point), []).append(number)
         if re.search(r"\bINC\b", code):
             relative |= {int(point): number for point in POINT.findall(code)}
         elif "Offset" in code:
@@ -157,7 +163,7 @@ def _moves(section: _Section) -> tuple[dict[int, int], list[Skipped]]:
             skipped.append(Skipped(what, number, "shared", "adds an offset to its point, whose correction it shares"))
         if re.match(r"[^%]*?\d?\s*:\s*[JLCAS]?\s*(?:P\[\s*R\[|PR\[)", code):
             skipped.append(Skipped(f"move in line {number}", number, "computed", "goes to a point given by a register"))
-    return relative, skipped
+    return relative, lines, skipped
 
 
 def _positions(tree: Node) -> Iterator[Target | Skipped]:

@@ -45,7 +45,7 @@ NOTATIONS: Mapping[Maker, tuple[Turn, float, float, str]] = {
 }
 CONDITIONS = ("time", "temperature")  # one value holds for a whole program
 GO_ON = (
-    "--in-order derives approach and travel from the order of the targets, --condition states time_s=… and temperature_degC=…; "
+    "--in-order derives approach and travel from the order of the moves, --condition states time_s=… and temperature_degC=…; "
     "others cannot be stated for a program; --without-conditions goes on without"
 )
 
@@ -118,7 +118,7 @@ def filter_program(
         start: the controller's joint readings [deg or mm] near the first target, for programs without configuration
             flags.
         any_configuration: if no solution has a target's flags, take the one nearest to the previous target.
-        in_order: whether targets are visited in this order, so that each joint's side of approach follows from it.
+        in_order: whether the robot moves in the order of the file, so that each joint's side of approach follows from it.
         conditions: `temperature_degC`, `time_s` and the like, where the model needs them.
         missing: whether a program without a condition that the model needs is refused, or corrected without it.
 

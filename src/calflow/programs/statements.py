@@ -326,13 +326,13 @@ class Statements(ABC):
         key, start = self.key(target.name), target.numbers[0].start
         owner = self.scope.owner(key)
         moves = [use for name in dict.fromkeys((key, without_indices(key))) for use in used.get((owner, name), ())]
-        uses = (*target.uses, *moves) if target.turn else ()
+        uses = (*target.uses, *moves)
         if default := self.defaults.get(start) if target.turn else None:
             uses = tuple(
                 replace(use, tool=use.tool or default.tool, frame=use.frame or default.frame)
                 for use in uses or (default,)
             )
-        if any(use.tool == STATIONARY for use in uses):
+        if target.turn and any(use.tool == STATIONARY for use in uses):
             return Skipped(target.name, target.line, "standing tool", "is of a stationary tool")
         declared, name = target.declared if alone else None, _as_written(target.name)
         unused = None if moves else self.if_unused.get(start)
