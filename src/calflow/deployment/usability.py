@@ -29,9 +29,7 @@ NOTED = 0.01  # share of poses without a certain gain above which it is reported
 PARTLY = 0.2  # share of poses without a certain gain from which the verdict says so
 NOTICED = 0.1  # share of the mean error due to noise below which a loss is negligible
 USABLE = "Usable for the poses, tools and loads that were measured"
-EVEN = (
-    0.5  # probability below which the other is likelier: that the tool is nearer calibrated, that a cause has this name
-)
+EVEN = 0.5  # probability below which the other is likelier: the nominal robot to be nearer, or another name to be right
 
 
 # Where the advice is carried out: in a file, at the robot, with equipment that is still missing.
