@@ -368,6 +368,18 @@ def test_a_reader_is_not_told_that_nothing_matters_beside_what_was_found() -> No
     assert next_steps(results(QUIET))[0].sentence == "Use it for the tools, loads and places that were measured."
 
 
+@pytest.mark.parametrize(
+    ("cause", "detail", "name"),
+    [
+        ("session-frame", "from session B on, shifted", "frame of a session (from session B on, shifted)"),
+        ("frame-drift", "wandering", "drift of the measuring device"),
+    ],
+)
+def test_a_name_has_the_detail_that_dates_it(cause: str, detail: str, name: str) -> None:
+    """Fails if page one does not say since which session a frame is another, or has the form of a curve in its place."""
+    assert usability.labels([Finding(status="named", cause=cause, detail=detail, statement="")]) == [name]
+
+
 def test_poses_of_several_rivals_are_all_counted() -> None:
     """Fails if one session is said to have as many poses as the longest of several plans, which are poses of their own."""
     plans = pd.concat([poses(3), poses(4).assign(joint=3)])
@@ -512,7 +524,11 @@ def test_all_that_is_to_be_measured_is_one_step() -> None:
 def test_open_questions_name_what_the_data_leave_open() -> None:
     tables = {
         "identify/identifiability.csv": statements(
-            ("silent", "joint1.s"), ("trade", "joint6.d;E.z"), ("bound", "joint1.s"), ("bound", "joint2.s")
+            ("silent", "joint1.s"),
+            ("trade", "joint6.d;E.z"),
+            ("trade", "a;b;c;d;e"),
+            ("bound", "joint1.s"),
+            ("bound", "joint2.s"),
         ),
         "identify/parameters.csv": pd.concat(
             [
@@ -525,9 +541,10 @@ def test_open_questions_name_what_the_data_leave_open() -> None:
     said = open_questions(results(tables))
     assert said[0].startswith("Compliance of joint 1: assumed")
     assert said[1] == "Length d of link 6 cannot be separated from E.z."
-    assert "joint2.s" in said[2]
-    assert "compliance of joint 1" not in said[2]
-    assert said[3] == "Joint4.a: no better known than before."
+    assert said[2].startswith("1 more combination of many parameters cannot be determined.")
+    assert "joint2.s" in said[3]
+    assert "compliance of joint 1" not in said[3]
+    assert said[4] == "Joint4.a: no better known than before."
     assert open_questions(results(QUIET)) == []
 
 

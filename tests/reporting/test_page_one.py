@@ -102,6 +102,7 @@ def test_a_calibration_that_will_not_last_says_so(small: Context, later: float, 
     shown = page_one(report_material(given.study, results, given.run_folder))
     sentences = [text for text in shown if text.startswith("When: the promised error grows from 0.050 to 0.090 mm")]
     assert len(sentences) == said
+    assert all(text.endswith(": check some poses before use.") for text in sentences)
     assert unreadable(shown) == []
 
 
