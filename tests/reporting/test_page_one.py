@@ -112,6 +112,16 @@ def test_a_good_calibration_is_to_be_used_before_anything_else(small: Context) -
     assert not next_steps(RunOutcome(with_diagnosis(small, COUPLED).results))[0].sentence.startswith("Use it for")
 
 
+def test_a_simulated_robot_is_not_to_be_used(small: Context) -> None:
+    """Fails if a simulation's first step is to use it, or says that nothing needs attention."""
+    given = with_diagnosis(small)
+    material = report_material(given.study, given.results, given.run_folder)
+    asked = material.request.model_copy(update={"acceptance": Acceptance.model_validate({"simulated": True})})
+    said = page_one(replace(material, request=asked))
+    assert "Measure the real robot." in said
+    assert not [text for text in said if text.startswith("Use it") or "attention" in text]
+
+
 NUMBER = re.compile(r"[−+]?\d[\d,]*\.?\d*")
 
 
