@@ -170,12 +170,9 @@ def test_switched_off_it_is_gone_and_nothing_is_fitted_again(corrected):
     assert FIELD[0] in predicted(folder, inside)[0]
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
-def test_clean_data_are_left_alone(tmp_path, seed):
-    """Fails if a correction is made of noise alone, or it is not said that there is none."""
-    case = Case(
-        poses=150, payloads=("none",), effects=("geometry",), columns=("sigma",), workflow="own.toml", seed=seed
-    )
+def test_clean_data_are_left_alone(tmp_path):
+    """Fails if a correction is made of noise alone, or it is not said that there is none; how often, is estimation's."""
+    case = Case(poses=150, payloads=("none",), effects=("geometry",), columns=("sigma",), workflow="own.toml", seed=1)
     _, outside = written(tmp_path, case)
     answer = in_process("run", tmp_path, "--out", tmp_path / "run")
     assert "not applied" in answer.out + answer.err
