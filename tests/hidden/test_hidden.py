@@ -208,8 +208,6 @@ def test_nothing_is_found_where_nothing_is_hidden(noise, robot, tmp_path):
 
 UNKNOWN = {  # and more in benchmarks/blind.py
     "cable drag": case("hh800", Hidden("cable-drag", 0, 6e-4)),
-    "floor vibration": case("hh800", Hidden("floor-vibration", 0, 2e-4), columns=CLOCK, settings=only(
-        "frame-drift", "frame-step", "thermal-growth", "housing-growth", "joint-step", "tool-slip")),
     "play, no side recorded": case("hh800", Hidden("joint-backlash", 3, 2e-4), columns=()),
 }  # fmt: skip
 

