@@ -251,6 +251,21 @@ def test_a_station_that_moved_between_sessions_is_fitted_there_alone(robot):
     assert any("than in the calibration in session 'tue': its frame was fitted" in one for one in judged.notes)
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_what_leaves_most_of_the_error_is_no_correction(robot, seed):
+    """Fails if rows of another robot get a shift to add to a reading, as if the calibration were right again then."""
+    known, rng = robot[0], np.random.default_rng(seed)
+    q = candidates(known.model, 60, "load", "E", None, rng)[0]
+    frequencies, phases = rng.normal(size=(2, 3, 6))
+    data, unlike = checked(known, q, 4), 1e-3 * np.sin(2 * q @ frequencies.T + phases[:, 0])
+    turned = np.cross(1e-3 * np.eye(3)[2], data.position)  # as by a zero of joint 1, which explains the lesser part
+    found = drift(known, with_positions(data, data.position + turned + unlike), station="known")
+    assert found.summary.status == "cannot be told"
+    assert not found.moved
+    assert not found.recalibration
+    assert found.summary.error_mm > 0.2
+
+
 def with_positions(data, seen):
     """The rows with other measured positions (n, 3) [m]."""
     return replace(data, table=data.table.assign(**dict(zip("xyz", seen.T, strict=True))))

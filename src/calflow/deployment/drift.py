@@ -46,6 +46,7 @@ CANDIDATES = 300  # candidate poses
 POSES_PROPOSED = 4
 MOST_RIVALS = 3  # nearest rivals that the poses separate
 ALL_ALIKE = 1e-2  # share of a movement below which, beside a fitted frame, nothing is left of it
+MOST_LEFT = 0.5  # share of the mean error above which, beyond noise, what movements leave speaks against them
 MOVEMENTS_SHARE = 0.8  # share of the false-alarm rate for movements; the rest is for error that no movement explains
 
 
@@ -54,6 +55,7 @@ def mistaken_poses(check: CheckProblem, rounds: Sequence[SearchRound], station: 
 
     A pose is suspect where the other poses, without any movement, leave a smaller whitened square than movements leave
     of all, by the margin that separates two movements, and the others agree with the calibration or are near it.
+    Movements that leave most of the error would be a correction that does not make the calibration right again.
     """
     far = check.size().mean() > ELSEWHERE
     if not rounds and not far and remaining_error_p(check, ()) >= alarm:
@@ -68,7 +70,14 @@ def mistaken_poses(check: CheckProblem, rounds: Sequence[SearchRound], station: 
         if remaining_error_p(rest, ()) >= alarm or rest.size().mean() <= ELSEWHERE < check.size()[k]:
             return _alone(check, int(k))
     if not far:
-        return None
+        error, left = (1e3 * float(each.mean()) for each in (check.size(), _left(check, joint_sizes(check, rounds))))
+        if not rounds or left < MOST_LEFT * error or remaining_error_p(check, rounds) >= alarm:
+            return None
+        named = " and of ".join(step.best.movement.meaning for step in rounds)
+        return (
+            f"a change of {named} would explain the check poses best, but leaves {rounded(left)} of {rounded(error)} mm, more than chance "
+            f"allows: it is no correction. {OF_THE_SAME[0].upper()}{OF_THE_SAME[1:]} Did they carry what they state?"
+        )
     return (
         f"the check poses are off by more than any calibrated robot, {rounded(1e3 * check.size().mean())} mm on average: "
         f"{OF_THE_SAME} What moved is stated to first order, which holds only for small movements"
