@@ -161,9 +161,9 @@ def test_a_controller_shows_the_readings_that_its_configuration_means():
     asked: list[np.ndarray] = []
 
     class Watched(CalibratedRobot):
-        def corrected(self, readings, names, visits):
+        def corrected(self, readings, names, runs):
             asked.append(readings)
-            return super().corrected(readings, names, visits)
+            return super().corrected(readings, names, runs)
 
     watched = Watched(corrector.calibrated, corrector.rows)
     done = filtered(parsed(SHOWN.encode(), Path("poses.ls")), watched, FilterSettings({}, {}))
@@ -283,6 +283,23 @@ def test_sides_of_approach_follow_from_the_moves_not_from_the_declarations(writt
     assert between == remaining[program.targets[2].name]
 
 
+def test_after_a_move_to_an_unknown_place_the_side_of_approach_is_unknown():
+    """Fails if play is made up for as if the robot came from the target before, or is not in what is promised."""
+    b, corrector = 1e-3, with_play(1e-3)
+    readings = np.tile(usual(corrector, 1), (3, 1))
+    readings[:, 1] += [0.0, 0.1, 0.2]
+    source = rapid_joints(readings, range(3)).replace(
+        "    MoveAbsJ j2", "    MoveAbsJ jUnknown,v9,fine,tool0;\n    MoveAbsJ j2"
+    )
+    program = parsed(source.encode(), Path("m.mod"))
+    done = filtered(program, corrector, FilterSettings({}, {}))
+    after = parsed(done.source, Path("m.mod")).targets
+    moved = [new.values[1] - old.values[1] for old, new in zip(program.targets, after, strict=True)]
+    np.testing.assert_allclose(moved, [0, -b / 2, 0], atol=2e-8)
+    promised = {row.name: row.promised_mm for row in done.rows if row.kind}
+    assert promised["j1"] < 0.5 < min(promised["j0"], promised["j2"])  # spread_mm is 1
+
+
 def test_what_nothing_tells_follows_the_target_before():
     """Fails if a way without flags leaves the joint positions that it goes on in, or that it was assumed is not said."""
     corrector = calibrated(ur10(), ("geometry",), 0.3)
@@ -294,7 +311,7 @@ def test_what_nothing_tells_follows_the_target_before():
     done = filtered(parsed(source, Path("p.script")), corrector, FilterSettings({}, {}))
     assert [row.outcome for row in done.rows] == ["moved"] * 5
     assert all("nearest to the target before" in row.note for row in done.rows[1:])
-    plain = corrector.corrected(way, list("abcde"), range(5))
+    plain = corrector.corrected(way, list("abcde"), [range(5)])
     told = np.rad2deg(np.abs(plain.readings - way).max(axis=1))
     np.testing.assert_allclose([row.largest_deg for row in done.rows], told, rtol=1e-4)
 

@@ -630,7 +630,9 @@ def compensate_rows(
         InputError: a condition that an effect needs is missing.
     """
     ways = in_order and "approach" not in data.given
+    unknown = np.zeros((len(data), 1))
     if ways:
+        unknown[0] = as_stated(calibrated, data, "widen").widened  # nothing says where the first is reached from
         data = _on_the_way(data, data.joints if start is None else start)
     stated = as_stated(calibrated, data, missing, BY_ORDER)
     ways = ways and bool({"approach", "travel"} & set(stated.data.given))
@@ -659,7 +661,8 @@ def compensate_rows(
         conditions, aims = stated.data.conditions[:, ~settled], targets.only(~settled)
         again = field_landing(stated.calibrated, conditions, aims, start[~settled], landed.readings[~settled])
         landed = landed.with_rows(~settled, again)
-    return _judged(stated, targets, start, landed, ways, settled, elsewhere, common)
+    found = _judged(stated, targets, start, landed, ways, settled, elsewhere, common)
+    return replace(found, sd=np.sqrt(found.sd**2 + unknown))
 
 
 def _led(stated: StatedModel, readings: np.ndarray, ways: bool) -> StatedModel:

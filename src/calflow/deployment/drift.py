@@ -75,8 +75,9 @@ def mistaken_poses(check: CheckProblem, rounds: Sequence[SearchRound], station: 
             return None
         named = " and of ".join(step.best.movement.meaning for step in rounds)
         return (
-            f"a change of {named} would explain the check poses best, but leaves {rounded(left)} of {rounded(error)} mm, more than chance "
-            f"allows: it is no correction. {OF_THE_SAME[0].upper()}{OF_THE_SAME[1:]} Did they carry what they state?"
+            f"a change of {named} would explain the check poses best, but leaves {rounded(left)} of {rounded(error)} mm, "
+            f"more than chance allows: it is no correction. {OF_THE_SAME[0].upper()}{OF_THE_SAME[1:]} "
+            "Did they carry what they state?"
         )
     return (
         f"the check poses are off by more than any calibrated robot, {rounded(1e3 * check.size().mean())} mm on average: "

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import count
@@ -138,15 +138,24 @@ def aims_of(
     return aims, doubtful
 
 
-def visits(aims: Sequence[Aim], files: Sequence[str]) -> list[int]:
-    """Return which aim each move goes to, in the order of the moves in the files; an aim without moves where it stands."""
+def runs_of_moves(aims: Sequence[Aim], files: Sequence[str], elsewhere: Collection[tuple[str, int]]) -> list[list[int]]:
+    """Return which aim each move goes to, in the order of the files, in runs between moves to unknown places.
+
+    elsewhere: file and line of these. An aim to which no move goes counts where it stands.
+    """
     place = {file: k for k, file in enumerate(files)}
-    moves = []
+    moves = [(place[file], line, (0, 0), -1) for file, line in elsewhere]
     for k, aim in enumerate(aims):
         uses = (aim.use,) if aim.use else tuple(use for use in aim.target.uses if use.line and not use.computed)
         spots = [(use.file, use.line, use.span or (0, 0)) for use in uses]
         moves += [(place[file], line, span, k) for file, line, span in spots or [(aim.file, aim.target.line, (0, 0))]]
-    return [k for *_, k in sorted(moves)]
+    runs: list[list[int]] = [[]]
+    for *_, k in sorted(moves):
+        if k >= 0:
+            runs[-1].append(k)
+        elif runs[-1]:
+            runs.append([])
+    return [run for run in runs if run]
 
 
 def _norm_problem(target: Target) -> str:

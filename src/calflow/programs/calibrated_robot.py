@@ -320,12 +320,14 @@ class CalibratedRobot:
         """Return the postures of the arm at readings (n, n_joints)."""
         return self._arm.postures(readings)
 
-    def corrected(self, readings: np.ndarray, names: Sequence[str], visits: Sequence[int]) -> CorrectedReadings:
+    def corrected(self, readings: np.ndarray, names: Sequence[str], runs: Sequence[Sequence[int]]) -> CorrectedReadings:
         """Return readings that bring the real flange to its nominal pose at given readings (n, n_joints).
 
-        names: the targets' names in notes; visits: which target each move goes to, in order, every target once or more.
+        names: the targets' names in notes; runs: which target each move goes to, in order, every target once or more, in
+        runs before which nothing is known of where the robot is.
         """
-        order = np.array(visits) if self.in_order else np.arange(len(readings))
+        runs = runs if self.in_order else [range(len(readings))]
+        order = np.concatenate(runs).astype(int)
         moves = [np.flatnonzero(order == k) for k in range(len(readings))]
         readings = readings[order]
         data = self.rows(readings)
@@ -336,27 +338,33 @@ class CalibratedRobot:
         aims = base_placement(stated.calibrated, stated.data.conditions) @ self.flange(readings) @ tool
         oriented = len(self.axes.arm) >= FREE
         asked = Targets(aims[:, :3, 3], aims[:, :3, :3] if oriented else None)
-        landed = compensate_rows(
-            self.calibrated, data, asked, start=readings, in_order=self.in_order, missing=self.missing
+        of_run = np.repeat(np.arange(len(runs)), [len(run) for run in runs])
+        landed = [
+            compensate_rows(
+                self.calibrated, data.only(one), asked.only(one), start=readings[one], in_order=self.in_order,
+                missing=self.missing,
+            )
+            for one in of_run == np.arange(len(runs))[:, None]
+        ]  # fmt: skip
+        found, remaining, sd, reached = (
+            np.concatenate([getattr(run, name) for run in landed])
+            for name in ("readings", "remaining", "sd", "reached")
         )
-        change = np.abs(landed.readings - readings).max(axis=1)
+        notes = tuple(dict.fromkeys(note for run in landed for note in run.notes))
+        change = np.abs(found - readings).max(axis=1)
         reasons: list[Reason | None] = [
-            "out of reach"
-            if not landed.reached[k].all()
-            else None
-            if change[k].max() < LARGEST_CHANGE
-            else "singularity"
+            "out of reach" if not reached[k].all() else None if change[k].max() < LARGEST_CHANGE else "singularity"
             for k in moves
         ]
         note = f"{len(self.axes.arm)} joints cannot correct the orientation: only the marker's position is corrected"
-        ways = tuple(landed.readings[k] for k in moves)
+        ways = tuple(found[k] for k in moves)
         return CorrectedReadings(
             np.stack([(way.max(axis=0) + way.min(axis=0)) / 2 for way in ways]),
             ways,
-            np.array([landed.remaining[k].max() for k in moves]),
-            np.stack([landed.sd[k[0]] for k in moves]),
+            np.array([remaining[k].max() for k in moves]),
+            np.stack([sd[k].max(axis=0) for k in moves]),
             tuple(reasons),
-            landed.notes if oriented else (*landed.notes, note),
+            notes if oriented else (*notes, note),
         )
 
     @cached_property

@@ -13,7 +13,7 @@ import numpy as np
 from calflow.deployment.conventions import angle_between, inverse
 from calflow.files.problems import Problem, refuse_any
 from calflow.files.tables import column
-from calflow.programs.aims import Aim, FilterSettings, aims_of, all_targets, second_targets, visits
+from calflow.programs.aims import Aim, FilterSettings, aims_of, all_targets, runs_of_moves, second_targets
 from calflow.programs.calibrated_robot import CalibratedRobot
 from calflow.programs.edits import PLACE_STEP, Edit, to_flags, to_pose, to_readings, with_edits
 from calflow.programs.postures import following, with_intended_readings
@@ -111,9 +111,12 @@ def filtered(programs: Sequence[Program], corrector: CalibratedRobot, choices: F
         for aim in resolved
         if aim.readings is None
     ]
-    edits, corrected, notes = _corrected(
-        [aim for aim in resolved if aim.readings is not None], [program.file for program in programs], corrector
-    )
+    unresolved = [use for aim in resolved if aim.readings is None for use in aim.target.uses if use.line]
+    elsewhere = {(use.file, use.line) for use in unresolved}
+    elsewhere |= {(file, entry.line) for file, entry in (*skipped, *doubtful) if entry.reason not in UNASKED}
+    known = [aim for aim in resolved if aim.readings is not None]
+    runs = runs_of_moves(known, [program.file for program in programs], elsewhere)
+    edits, corrected, notes = _corrected(known, runs, corrector)
     sources = {program.file: program.source for program in programs}
     by_file: dict[str, list[Edit]] = {file: [] for file in sources}
     for file, change in second_targets(resolved, edits, sources):
@@ -129,11 +132,11 @@ def filtered(programs: Sequence[Program], corrector: CalibratedRobot, choices: F
 
 
 def _corrected(
-    aims: Sequence[Aim], files: Sequence[str], corrector: CalibratedRobot
+    aims: Sequence[Aim], runs: Sequence[Sequence[int]], corrector: CalibratedRobot
 ) -> tuple[dict[tuple[str, int, str], list[Edit]], list[FilteredTarget], tuple[str, ...]]:
     """Return the edits and the rows of aims with known readings, and the notes of the correction.
 
-    Aims that follow come last, since their poses are computed from those written; files: in their order.
+    Aims that follow come last, since their poses are computed from those written; runs: as `runs_of_moves` returns them.
     """
     if not aims:
         return {}, [], ()
@@ -141,7 +144,7 @@ def _corrected(
     rows = []
     poses: dict[tuple[str, int, str], np.ndarray] = {}  # as written to the file
     readings = np.stack([aim.readings for aim in aims if aim.readings is not None])
-    correction = corrector.corrected(readings, [aim.target.name for aim in aims], visits(aims, files))
+    correction = corrector.corrected(readings, [aim.target.name for aim in aims], runs)
     before, after = corrector.flange(readings), corrector.flange(correction.readings)
     ways = np.split(
         corrector.flange(np.concatenate(correction.ways)), np.cumsum([len(w) for w in correction.ways])[:-1]
