@@ -17,7 +17,8 @@ from observations.test_camera import study
 IMAGES, BEFORE = 20, 13  # the images beside the slip are fitted, so that they tell where it is
 SHIFT = np.array([3e-4, -2e-4, 4e-4])
 BOARD = board(5, 4, 0.05)  # as large as the usual one, with fewer points
-ONLY = '\n[stages.diagnose]\ncatalogue = ["camera-slip", "target-slip", "frame-step", "frame-drift", "joint-eccentricity"]\n'
+CAUSES = ("camera-slip", "target-slip", "lens-step", "frame-step", "frame-drift", "joint-eccentricity")
+ONLY = f"\n[stages.diagnose]\ncatalogue = {[*CAUSES]}\n".replace("'", '"')
 
 
 STILL = frame()
@@ -61,6 +62,20 @@ def assert_slipped(folder, made: Photographs, cause: str) -> None:
     assert f"after row {(made.rows['pose'] <= BEFORE).sum()} " in only["statement"]
     assert only["estimate"] == pytest.approx(np.linalg.norm(SHIFT), abs=4 * only["sd"])
     assert only["heldout_mean"] < 0.3
+
+
+def test_a_lens_that_was_touched_is_no_camera_that_slipped(tmp_path):
+    """Fails if longer focal lengths from an image on are taken for a camera that moved, or are of another size."""
+    made, longer = photographed(UR5E, True, 2 * IMAGES, np.random.default_rng(8), points=BOARD), 4e-3
+    after = (made.rows["pose"] > 2 * BEFORE).to_numpy()
+    for name, centre in zip(("u_px", "v_px"), made.lens.centre, strict=True):
+        made.rows[name] += longer * (made.rows[name] - centre) * after
+    found = findings(tmp_path, made).set_index("cause")
+    assert [*found.index] == ["lens-step"]
+    only = found.loc["lens-step"]
+    assert only["status"] == "named"
+    assert f"after row {(~after).sum()} " in only["statement"]
+    assert only["estimate"] == pytest.approx(longer, abs=4 * only["sd"])
 
 
 def test_a_slip_is_of_one_camera_and_between_images(tmp_path):

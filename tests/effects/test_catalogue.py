@@ -50,7 +50,13 @@ def figures(effect: Effect) -> tuple[Any, ...]:
     return tuple(getattr(effect, field.name) for field in fields(effect) if field.name != "robot")
 
 
-WITHOUT = ("axis-straightness", "camera-slip", "target-slip")  # neither robot has a rail, nor a camera
+WITHOUT = (
+    "axis-straightness",
+    "camera-slip",
+    "target-slip",
+    "lens-growth",
+    "lens-step",
+)  # neither robot has a rail, nor a camera
 
 
 @pytest.mark.parametrize("name", [name for name in catalogue() if name not in WITHOUT])

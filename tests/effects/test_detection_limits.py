@@ -17,7 +17,13 @@ from calflow.measurements.measurements import Measurements
 from effects.bench import waves
 
 FAMILY, ALARM, LEFT = Family({}, 30.0), 0.01, 400.0
-WITHOUT = ("axis-straightness", "camera-slip", "target-slip")  # neither robot has a rail, nor a camera
+WITHOUT = (
+    "axis-straightness",
+    "camera-slip",
+    "target-slip",
+    "lens-growth",
+    "lens-step",
+)  # neither robot has a rail, nor a camera
 DRAWS = 400
 
 

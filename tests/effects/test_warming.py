@@ -11,8 +11,8 @@ from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 
 import robots
+from calflow.effects.device_growth import StandGrowth
 from calflow.effects.housing_growth import HousingGrowth
-from calflow.effects.stand_growth import StandGrowth
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Row
 

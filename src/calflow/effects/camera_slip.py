@@ -1,4 +1,4 @@
-"""Slips: a camera or its target that shifted once on its mount, or whose bracket was knocked."""
+"""Slips: a camera or its target that shifted once on its mount, or whose bracket was knocked, or a lens that was touched."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from typing import ClassVar
 
 import casadi as ca
 
-from calflow.effects.base import OF_THE_FRAME, Words, several_imaged
-from calflow.effects.step_change import StepChange
+from calflow.effects.base import LENS, OF_THE_FRAME, Words, refocused, several_imaged
+from calflow.effects.step_change import BOUND, StepChange
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Row
 from calflow.robot.parts import Parameter
@@ -61,3 +61,28 @@ class TargetSlip(CameraSlip):
     def target(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
         """Return the point, as it was before the slip."""
         return self.undone(p, point, row)
+
+
+@dataclass(frozen=True)
+class LensStep(CameraSlip):
+    """Focal lengths times 1 - f, the image's centre - (x, y) focal lengths, up to an image."""
+
+    id = "lens-step"
+    title = "lens that was touched"
+    words = Words(
+        "lens that was touched", "focus, zoom or the lens in its mount moved once", "relative change of its images"
+    )
+    told_by = "lock focus and zoom, and photograph some of the first poses again"
+    lens_sd: ClassVar[float] = 2e-3
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return the change of the focal lengths, and the shift of the image's centre."""
+        sd = self.lens_sd
+        return tuple(
+            Parameter(self.id, self.whole, symbol, "1", sd, -BOUND * sd, BOUND * sd, meaning=f"step of the {meaning}")
+            for symbol, meaning in LENS
+        )
+
+    def change(self, p: ca.SX, point: ca.SX) -> ca.SX:
+        """Return the displacement (3,) of a point in the camera's frame that changes its image alike."""
+        return refocused(p, point)

@@ -100,9 +100,13 @@ class StepChange(Effect):
         return (row.order > 0) * (row.order < self.moment) if known else ca.SX(1, 1)
 
     def undone(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
-        """Return a point without its displacement by a shift (3,), or a shift and a rotation (6,), where a row is before it."""
+        """Return a point without its change where a row is before it: by a shift (3,), or a shift and a rotation (6,)."""
         before = self.before(row)
-        return point - displaced(p, point) * before if before.nnz() else point
+        return point - self.change(p, point) * before if before.nnz() else point
+
+    def change(self, p: ca.SX, point: ca.SX) -> ca.SX:
+        """Return a point's displacement (3,)."""
+        return displaced(p, point)
 
     def along_axes(self, part: str, turning: bool) -> tuple[Parameter, ...]:
         """Return a shift of a part, and a rotation."""

@@ -1,4 +1,4 @@
-"""Stand growth: a measuring device whose stand moves with the temperature, or as it settles or warms up."""
+"""Growth of the measuring device: a stand that moves, or a camera's lens that changes, with the temperature or as it warms up."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Self
 
 import casadi as ca
 
-from calflow.effects.base import OF_THE_FRAME, Words, displaced
+from calflow.effects.base import LENS, OF_THE_FRAME, Words, displaced, refocused, several_imaged
 from calflow.effects.warming import REFERENCE, Warming
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Row
@@ -15,6 +15,7 @@ from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
 
 SHIFT_SDS, TURN_SDS = (3e-4, 2e-5), (1e-4, 1e-5)  # when settled [m, rad]; per kelvin: of a stand of steel, 2 m high
+LENS_SDS = (1e-3, 5e-5)  # when warm; per kelvin: of the focal length, a pixel or two at the edge of an image
 BOUND = 100.0  # standard deviations
 
 
@@ -44,8 +45,12 @@ class StandGrowth(Warming):
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
         """Return growth with the temperature or with a grid of time constants, without and with rotation."""
-        shifting = tuple(growth._as_left(data) for growth in super().variants(robot, data))
+        shifting = cls._left(robot, data)
         return (*shifting, *(replace(growth, turning=True) for growth in shifting))
+
+    @classmethod
+    def _left(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
+        return tuple(growth._as_left(data) for growth in super().variants(robot, data))
 
     @classmethod
     def stated(cls, robot: Robot, data: Measurements) -> Self:
@@ -87,4 +92,47 @@ class StandGrowth(Warming):
         if not grown.nnz():
             return point
         as_left = replace(row, **{"time" if self.constant else "temperature": ca.SX(self.left)})
-        return point + displaced(grown - self.warmth(p, as_left), point)
+        return point + self.change(grown - self.warmth(p, as_left), point)
+
+    def change(self, p: ca.SX, point: ca.SX) -> ca.SX:
+        """Return a point's displacement (3,)."""
+        return displaced(p, point)
+
+
+@dataclass(frozen=True)
+class LensGrowth(StandGrowth):
+    """Focal lengths times 1 + f g, the image's centre + (x, y) g focal lengths, where g grows with T or 1 - exp(-t / constant).
+
+    g is zero where the camera was left, as of the stand's growth.
+    """
+
+    id = "lens-growth"
+    title = "growth of the camera's lens"
+    words = Words(
+        "growth of the camera's lens", "the lens or the sensor follows the temperature, or warms up", "relative change"
+    )
+    course = "warming up"
+    told_by = "let the camera warm up first, or photograph a target fixed beside it from time to time"
+
+    @classmethod
+    def unfit(cls, robot: Robot, data: Measurements) -> str:
+        """Return what is missing where the rows are not images of one camera."""
+        return several_imaged(data, "camera")
+
+    @classmethod
+    def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
+        """Return growth with the temperature or with a grid of time constants; none for unsuitable data."""
+        return () if cls.lacking(robot, data) else cls._left(robot, data)
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return the change of the focal lengths, and the shift of the image's centre."""
+        unit, sd = ("1", LENS_SDS[0]) if self.constant else ("1/K", LENS_SDS[1])
+        return tuple(
+            Parameter(self.id, "device", f"{symbol}{ending}", unit, sd, -BOUND * sd, BOUND * sd,
+                      meaning=f"growth of the {meaning}")
+            for symbol, meaning in LENS for ending in self.symbols
+        )  # fmt: skip
+
+    def change(self, p: ca.SX, point: ca.SX) -> ca.SX:
+        """Return the displacement (3,) of a point in the camera's frame that changes its image alike."""
+        return refocused(p, point)

@@ -1,0 +1,54 @@
+"""Growth of a lens: hidden in photographs by a camera that warms up, whose images grow about a centre that moves."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from calflow.effects.device_growth import LensGrowth
+from conftest import in_process
+from observations.photographed import UR5E, Photographs, board, photographed
+from observations.test_camera import study
+
+IMAGES, EVERY, CONSTANT = 48, 30.0, 600.0  # s between images, and of the warm-up
+FOCAL, CENTRE = 1.5e-3, np.array([4e-4, -3e-4])  # relative growth; shift in focal lengths
+ONLY = '\n[stages.diagnose]\ncatalogue = ["lens-growth", "stand-growth", "frame-drift", "camera-slip", "joint-eccentricity"]\n'
+
+
+def warming(seed: int, focal: float, centre: np.ndarray) -> Photographs:
+    """Photographs of a worn arm by a camera whose lens grows and whose image's centre moves as it warms up."""
+    made = photographed(UR5E, True, IMAGES, np.random.default_rng(seed), points=board(5, 4, 0.05))
+    rows = made.rows
+    rows["time_s"] = EVERY * (rows["pose"] - 1)
+    grown = 1 - np.exp(-rows["time_s"].to_numpy() / CONSTANT)
+    for name, middle, length, moved in zip(("u_px", "v_px"), made.lens.centre, made.lens.focal, centre, strict=True):
+        rows[name] = middle + (rows[name] - middle) * (1 + focal * grown) + moved * length * grown
+    return made
+
+
+def findings(folder, made: Photographs) -> pd.DataFrame:
+    """What a run names, by cause."""
+    study(folder, made, "ur5e", True, ONLY)
+    assert in_process("run", folder / "study.toml", "--out", folder / "runs").code == 0
+    return pd.read_csv(folder / "runs" / "diagnose" / "findings.csv").set_index("cause")
+
+
+def test_a_lens_that_warms_up_is_no_camera_that_moves(tmp_path):
+    """Fails if a growing image is taken for a camera that creeps, or for growth of another size."""
+    found = findings(tmp_path, warming(7, FOCAL, CENTRE))
+    assert [*found.index] == ["lens-growth"]
+    lens = found.loc["lens-growth"]
+    assert lens["status"] == "named"
+    assert lens["estimate"] == pytest.approx(np.hypot(FOCAL, np.linalg.norm(CENTRE)), abs=4 * lens["sd"])
+    assert lens["sd"] < 3e-4
+
+
+def test_a_lens_that_does_not_change_has_no_growth(tmp_path):
+    """Fails if a worn arm's errors are taken for a growing lens, or it is looked for where nothing tells of warmth."""
+    made = warming(8, 0.0, 0 * CENTRE)
+    assert findings(tmp_path, made).empty
+    kept = study(tmp_path, replace(made, rows=made.rows.drop(columns="time_s")), "ur5e", True)
+    assert "time_s" in LensGrowth.lacking(kept.robot, kept.measurements())
