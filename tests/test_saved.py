@@ -152,7 +152,7 @@ def test_what_is_loaded_is_what_was_saved(name, tmp_path):
 
 
 @settings(
-    max_examples=3,
+    max_examples=2,
     phases=[Phase.explicit, Phase.generate],
     deadline=None,
     derandomize=True,
