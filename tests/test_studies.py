@@ -268,6 +268,7 @@ def diagnosed(
         rows = pd.read_csv(study / "measurements.csv", dtype=str)
         rows[(rows["split"] == "holdout") | (rows.index % every == 0)].to_csv(study / "measurements.csv", index=False)
     assert in_process("run", study / "study.toml", "--out", folder / "run", *options).code == 0
+    assert unreadable(of_run(study / "study.toml", folder / "run", "identify", "diagnose")) == []
     accuracy = pd.read_csv(folder / "run" / "diagnose" / "accuracy.csv")
     return accuracy.loc[accuracy["split"] == "holdout", "mean_mm"]
 
@@ -277,8 +278,6 @@ def test_a_positioner_s_base_and_target_are_found(tmp_path, monkeypatch):
     """Fails if full poses do not say where base and target are, or poses that no fit has seen are missed by more than 0.36 mm."""
     few = ["joint-error-map", "joint-eccentricity", "frame-step"]  # of some forty that fanuc and the tutorial try
     held = diagnosed("positioner", tmp_path, monkeypatch, causes=few)
-    study = tmp_path / "positioner" / "study.toml"
-    assert unreadable(of_run(study, tmp_path / "run", "identify", "diagnose")) == []
     assert held.iloc[0] < 0.45
     assert held.iloc[-1] <= 0.36
 
