@@ -47,11 +47,6 @@ IN_TIME = ("time", "order")  # the inputs on which a drift of the measuring devi
 ITS_ANGLE, ITS_TORQUE = "q", "tau"  # of the cause's own joint
 # Families of curves of one input of the same joint or device: the sum of two members is another curve, so that data do not show
 # whether one or two causes act.
-LENS = (
-    ("f", "focal lengths"),
-    ("x", "centre of the image along x"),
-    ("y", "centre of the image along y"),
-)  # what of it changes
 SMOOTH_IN = {TRANSMISSION: (ITS_ANGLE,), NONLINEAR: (ITS_TORQUE,), OF_THE_FRAME: IN_TIME}
 REVERSALS = "vary the travel since the last reversal, from tenths of a degree (a slide: of a millimetre) to many"
 JOINT_ALONE = "move the joint alone over all its travel, and measure closely on the way"
@@ -228,6 +223,10 @@ def several_imaged(data: Measurements, what: str) -> str:
 def displaced(p: ca.SX, point: ca.SX) -> ca.SX:
     """Return a point's displacement (3,) by a shift p (3,), or a shift and a small rotation about the origin (6,)."""
     return p[:3] + (ca.cross(p[3:], point) if p.numel() == 6 else 0)
+
+
+# What of a lens changes: symbol and meaning of each parameter of `refocused`.
+LENS = (("f", "focal lengths"), ("x", "centre of the image along x"), ("y", "centre of the image along y"))
 
 
 def refocused(p: ca.SX, point: ca.SX) -> ca.SX:
