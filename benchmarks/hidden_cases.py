@@ -39,6 +39,9 @@ def stated() -> Iterator[Stated]:
     several = test_hidden.SEVERAL | test_joint_causes.LOADED | {"heavier payload": test_steps.HEAVIER}
     for name, one in several.items():
         yield Stated(name, one, 11, tuple((h.cause, h.joint) for h in one.hidden))
+    for name, one in test_steps.STEPS.items():
+        yield Stated(name, one, 31, tuple((h.cause, h.joint) for h in one.hidden))
+    yield Stated("table 2 of the paper", test_hidden.TABLE_2, 18, tuple(("joint-compliance", k) for k in (2, 3, 4, 5)))
     for name, (one, _) in test_frames.EVERY.items():
         yield Stated(name, one, 21, ((name.split()[0], 0),))
     for name, forms in test_joint_causes.FORMS.items():

@@ -9,7 +9,7 @@ from conftest import in_process
 from observations.photographed import UR5E, Photographs, board, photographed
 from observations.test_camera import study
 
-IMAGES = 24
+IMAGES = 18
 BOARD = board(5, 4, 0.05)
 CAUSES = ("board-bent", "print-scale", "camera-slip", "target-slip", "joint-eccentricity")
 ONLY = f"\n[stages.diagnose]\ncatalogue = {[*CAUSES]}\n".replace("'", '"')

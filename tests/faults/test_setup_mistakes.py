@@ -16,7 +16,6 @@ from calflow.faults import examined
 from calflow.faults.setup import Setup
 from calflow.files.problems import InputError
 from calflow.measurements.measurements import Measurements
-from calflow.robot.frames import dh
 from calflow.robot.parts import Base, Expected
 from calflow.study import load_study
 from hidden.case import Case, write_case
@@ -58,9 +57,8 @@ def with_columns(data, **columns):
     [
         (4, {"alpha": np.pi / 2}, "joint 4: the twist alpha has the wrong sign; expected alpha_deg = -90", False),
         (4, {"d": 1.82}, r"d of joint 4 is mistyped \(digits exchanged: 1280\); expected", True),
-        (4, {"alpha": -np.deg2rad(np.pi / 2)}, "alpha of joint 4 is in radians; expected alpha_deg = -90", True),
     ],
-    ids=["twist", "digits", "radians"],
+    ids=["twist", "digits"],
 )  # fmt: skip
 def test_a_mistyped_figure_is_told_and_no_other(measured, joint, figures, said, known):
     """Fails if signs, axes or another figure are blamed, or the robot is fitted with a figure that cannot be."""
@@ -118,13 +116,6 @@ def test_a_wide_study_changes_nothing(measured):
         examined(with_figure(data, 4, alpha=np.pi / 2))
 
 
-def test_two_joint_columns_that_are_exchanged(measured):
-    """Fails if limits alone are complained of, or a fit is made."""
-    q = measured.table
-    with pytest.raises(InputError, match="columns q4 and q6 are exchanged"):
-        examined(with_columns(measured, q4=q["q6"], q6=q["q4"]))
-
-
 @pytest.mark.filterwarnings("error")
 def test_a_change_before_the_first_fitted_row_is_no_fit(measured):
     """Fails if a change is measured by fitted rows alone where all before it are held out: the size of no errors is none."""
@@ -133,16 +124,6 @@ def test_a_change_before_the_first_fitted_row_is_no_fit(measured):
         q2=measured.table["q2"] + 0.1 * early, split=measured.table["split"].mask(early, "holdout")
     )
     assert [fault.cause for fault in examined(replace(measured, table=table))[1]] == ["row-misalignment"]
-
-
-def test_loads_that_are_named_some_rows_late(measured):
-    """Fails if rows are called outliers, a cause in time would be named, or by how many rows is not told."""
-    in_turn = measured.table.sort_values("payload", kind="stable").reset_index(drop=True)
-    loads, lines = in_turn["payload"].to_numpy(), np.arange(2, len(in_turn) + 2)
-    table = in_turn.assign(payload=np.r_[np.repeat(loads[:1], 6), loads[:-6]], line=lines)
-    (fault,) = examined(Measurements(measured.robot, table, measured.notes))[1]
-    assert (fault.cause, fault.action) == ("payloads-late", "unsettled")
-    assert "in lines 25 to 30, 48 to 53: payloads are named 6 rows too late" in fault.statement
 
 
 def test_a_marker_far_from_where_it_is_typed(measured):
@@ -244,21 +225,6 @@ def test_a_joint_that_was_mastered_anew_beside_single_typing_errors(measured):
     (fault,) = examined(with_columns(measured, x=x, q2=measured.table["q2"] - later * np.deg2rad(1)))[1]
     assert (fault.cause, fault.joint) == ("zero-changed", 2)
     assert f"from line {measured.table['line'][41]} on the readings of joint 2 are 1 deg too small" in fault.statement
-
-
-def test_gravity_that_acts_otherwise_than_stated(measured):
-    """Fails if springs take up what a robot on a wall is pulled by, or the right direction is not stated."""
-    (fault,) = examined(measured.on(replace(measured.robot, gravity=(0.0, 9.80665, 0.0))))[1]
-    assert (fault.cause, fault.action) == ("gravity-elsewhere", "unsettled")
-    assert "expected gravity = [0, 0, -9.807]" in fault.statement
-
-
-def test_figures_of_the_other_convention(measured):
-    """Fails if a robot whose figures are read in the other order is only said to be far from its file."""
-    joints = measured.robot.joints
-    read = tuple(replace(joint, frame=dh(**joint.frame.figures)) for joint in joints)
-    with pytest.raises(InputError, match="are of the convention modified-dh, but read as dh"):
-        examined(measured.on(replace(measured.robot, joints=read)))
 
 
 def test_two_rows_that_are_exchanged(measured):

@@ -40,9 +40,8 @@ EVERY: dict[str, tuple[Case, str]] = {
 }  # fmt: skip
 
 
-TOLD_APART = (  # one of each course in time and place; benchmarks/hidden_cases.py has all, by the whole catalogue
-    "session-frame of one move", "frame-drift that wanders", "stand-growth of a foot that creeps", "thermal-growth of one link",
-    "housing-growth of a robot that was warm", "housing-growth",
+TOLD_APART = (  # of a device and of a robot; benchmarks/hidden_cases.py has all, by the whole catalogue
+    "session-frame of one move", "frame-drift that wanders", "housing-growth of a robot that was warm", "housing-growth",
 )  # fmt: skip
 
 

@@ -17,7 +17,6 @@ from hidden.landings import missed, targets
 from hidden.test_hidden import CLOCK, Findings, case, found, only
 
 JUMP = np.deg2rad(0.02)
-ROBOTS = ("serial", "hh800")
 AT_A_ROW = only(
     "joint-step", "tool-slip", "frame-step", "frame-drift", "stand-growth", "housing-growth", "thermal-growth"
 )
@@ -32,32 +31,29 @@ def assert_step(seen: Findings, hidden: Hidden, detail: str = "after row") -> No
     assert abs(first["estimate"]) == pytest.approx(abs(hidden.size), abs=4 * first["sd"])
 
 
-@pytest.mark.parametrize("joint", [3, 6])
-def test_a_joint_that_jumps_is_no_link_that_grows(joint, tmp_path):
-    """Fails if a zero's jump of 0.02 deg is missed, called something else, or told apart from a tool that slipped at the last."""
-    hidden = Hidden("joint-step", joint, (-1) ** joint * JUMP, seed=joint)
-    columns = CLOCK if joint % 2 else ("approach",)
-    seen = found(tmp_path, case(ROBOTS[joint % 2], hidden, columns=columns, settings=AT_A_ROW), 31)
-    assert_step(seen, hidden)
-    assert ("tool-slip" in seen.could_be(0)) == (joint == 6)
-
-
-SLIPS = {
-    "tool that turned": (Hidden("tool-slip", 0, 3e-4, "turning"), 3, "turned too"),
-    "one of three markers": (Hidden("tool-slip", 0, 3e-4, "1"), 3, "F, after row"),
+STEPS = {  # the last of each sort is found here, all of them by benchmarks/hidden_cases.py
+    "jump amid the arm": case("hh800", Hidden("joint-step", 3, -JUMP, seed=3), columns=CLOCK),
+    "jump at the last joint": case("serial", Hidden("joint-step", 6, JUMP, seed=6)),
+    "tool that turned": case("serial", Hidden("tool-slip", 0, 3e-4, "turning"), columns=CLOCK, markers=3, poses=40),
+    "one of three markers": case("serial", Hidden("tool-slip", 0, 3e-4, "1"), columns=CLOCK, markers=3, poses=40),
 }
 
 
-@pytest.mark.parametrize("name", SLIPS)
-def test_a_tool_that_slips_is_found(name, tmp_path):
+def test_a_joint_that_jumps_is_no_link_that_grows(tmp_path):
+    """Fails if a zero's jump of 0.02 deg is missed, called something else, or told apart from a tool that slipped at the last."""
+    jump = STEPS["jump at the last joint"]
+    seen = found(tmp_path, replace(jump, settings=AT_A_ROW), 31)
+    assert_step(seen, jump.hidden[0])
+    assert "tool-slip" in seen.could_be(0)
+
+
+def test_a_tool_that_slips_is_found(tmp_path):
     """Fails if a slip is missed, called the device's step, or put to the tool where one marker alone slipped."""
-    hidden, markers, detail = SLIPS[name]
-    slipped = case("serial", hidden, columns=CLOCK, markers=markers, poses=120 // markers, settings=AT_A_ROW)
-    seen = found(tmp_path, slipped, 32)
+    seen = found(tmp_path, replace(STEPS["one of three markers"], settings=AT_A_ROW), 32)
     first = seen.causes.iloc[0]
     assert len(seen.causes) == 1, seen.causes
     assert (first["cause"], first["status"]) == ("tool-slip", "named")
-    assert detail in first["statement"]
+    assert "F, after row" in first["statement"]
 
 
 LIGHTER = case("serial", Hidden("payload-step", 0, -0.25, seed=7), columns=CLOCK, payloads=("half", "full"))

@@ -132,9 +132,9 @@ class Told:
     at_bound: int
 
 
-def sampled(case: Case, rng: np.random.Generator) -> tuple[cf.Calibration, Posterior]:
+def sampled(case: Case, rng: np.random.Generator, steps: int = STEPS) -> tuple[cf.Calibration, Posterior]:
     """Calibrate a case, and sample it."""
-    fit, length = case.fitted(), ChainLength(max_steps=STEPS, block=STEPS)
+    fit, length = case.fitted(), ChainLength(max_steps=steps, block=steps)
     seed = int(rng.integers(2**31))
     with TemporaryDirectory() as folder:
         return fit, sample(fit, fit.data, Path(folder, "chain.h5"), length, rng=draws(seed))

@@ -17,5 +17,5 @@ def small_robots() -> list[tuple[Case, cf.Calibration, Posterior, np.random.Gene
     for number in range(12):
         rng = np.random.default_rng([31, number])
         case = Case.drawn(SMALL, rng)
-        found.append((case, *sampled(case, rng), rng))
+        found.append((case, *sampled(case, rng, steps=50), rng))
     return found

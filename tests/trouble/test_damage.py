@@ -12,7 +12,7 @@ import pytest
 
 from conftest import Answer, in_process, without_data
 from trouble.campaign import unreadable
-from trouble.damage import AS_USER, DAMAGES, Sound, locked_away, reads_everything, turned
+from trouble.damage import AS_USER, DAMAGES, Sound, cut, gone, no_file, reads_everything, turned
 from trouble.workplace import few_sections, workplace
 
 ASKED = ("status", "plan", "predict", "export", "pack", "compare")
@@ -24,9 +24,7 @@ def sound(tmp_path_factory):
         yield Sound.of(workplace(tmp_path_factory.mktemp("damage") / "place"), ASKED)
 
 
-@pytest.mark.parametrize(
-    "damage", [one for one in DAMAGES if one is not locked_away], ids=lambda damage: damage.__name__
-)
+@pytest.mark.parametrize("damage", [cut, turned, gone, no_file], ids=lambda damage: damage.__name__)
 def test_every_damaged_file_of_a_run_is_noticed(sound, damage):
     """Fails if a changed result is used, a stage whose file is damaged is reused, or a command ends in a traceback."""
     names, first = sound.files(), DAMAGES.index(damage)
