@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from scipy.spatial.transform import Rotation
 
 from calflow.calibration import identify
 from calflow.faults import examined
@@ -185,16 +184,6 @@ def test_a_device_that_was_moved_within_a_session(measured):
     assert f"give the rows of session '{session[41]}' from there on" in fault.statement
 
 
-def test_sessions_with_frames_of_their_own_ask_for_by_session(measured):
-    """Fails if a tracker that was set up anew is not told as one."""
-    session = np.array(["Mon", "Tue", "Wed"])[np.arange(len(measured)) * 3 // len(measured)]
-    turned = Rotation.from_rotvec([0.0, 0.01, 0.02]).apply(measured.position.copy()) + np.array([0.03, -0.02, 0.0])
-    x, y, z = np.where((session == "Tue")[:, None], turned, measured.position).T
-    (fault,) = examined(with_columns(measured, x=x, y=y, z=z, session=session))[1]
-    assert (fault.cause, fault.action) == ("sessions-apart", "unsettled")
-    assert "by_session = true" in fault.statement
-
-
 def test_rows_that_are_read_otherwise_from_one_on_are_put_right(measured):
     """Fails if half of a table whose axes are exchanged is fitted as it is, left out, or the device is said to have moved."""
     _, y, z = measured.position.T
@@ -204,18 +193,6 @@ def test_rows_that_are_read_otherwise_from_one_on_are_put_right(measured):
         f"from line {measured.table['line'][33]} on, not before: x, y, z are no right-handed frame" in fault.statement
     )
     np.testing.assert_array_equal(after.position, measured.position)
-
-
-def test_a_joint_that_was_mastered_anew_at_a_row(weightless):
-    """Fails if nothing, a step of the device, a turn of the motor or another joint is told of, or the step is not what it was.
-
-    The fit of the readings as they are goes with a part of the step, so that another row seems to be its first.
-    """
-    later = np.arange(len(weightless)) >= 41
-    (fault,) = examined(with_columns(weightless, q1=weightless.table["q1"] + later * np.deg2rad(1)))[1]
-    assert (fault.cause, fault.joint, fault.action) == ("zero-changed", 1, "unsettled")
-    line = weightless.table["line"][41]
-    assert f"from line {line} on the readings of joint 1 are 1 deg too large" in fault.statement
 
 
 def test_a_joint_that_was_mastered_anew_beside_single_typing_errors(measured):
