@@ -3,7 +3,7 @@
     python benchmarks/whole_ur10.py                   both series
     python benchmarks/whole_ur10.py study.toml        one of them
 
-Needs CALFLOW_DATA. Ends with 1 where a figure is missed. tests/test_studies.py identifies a part of the first.
+Needs CALFLOW_DATA. Ends with 1 where a figure is missed. A short version is in tests/test_studies.py.
 """
 
 from __future__ import annotations
