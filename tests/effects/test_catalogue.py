@@ -18,7 +18,7 @@ from calflow.effects.joint_error_map import LENGTHS
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import condition_columns, numbered
 from calflow.measurements.series import Series, Station
-from effects.bench import ROBOTS, Bench, made, waves
+from effects.bench import ROBOTS, UNSHOWN, Bench, made, waves
 from effects.twins import SHARED, STEPS
 
 VARIANTS = {  # how many forms there are to try, where not one
@@ -50,16 +50,7 @@ def figures(effect: Effect) -> tuple[Any, ...]:
     return tuple(getattr(effect, field.name) for field in fields(effect) if field.name != "robot")
 
 
-WITHOUT = (
-    "axis-straightness",
-    "camera-slip",
-    "target-slip",
-    "lens-growth",
-    "lens-step",
-)  # neither robot has a rail, nor a camera
-
-
-@pytest.mark.parametrize("name", [name for name in catalogue() if name not in WITHOUT])
+@pytest.mark.parametrize("name", [name for name in catalogue() if name not in UNSHOWN])
 def test_variants_are_distinct_and_told_apart(full: Measurements, name: str) -> None:
     """Breaks if one form is tried twice, two forms are called alike, or one of several has no words of its own."""
     variants = catalogue()[name].variants(full.robot, full)

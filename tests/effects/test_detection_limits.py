@@ -14,16 +14,9 @@ from calflow.diagnosis.verdict import amplitude
 from calflow.effects import catalogue
 from calflow.effects.base import Cause, parts
 from calflow.measurements.measurements import Measurements
-from effects.bench import waves
+from effects.bench import UNSHOWN, waves
 
 FAMILY, ALARM, LEFT = Family({}, 30.0), 0.01, 400.0
-WITHOUT = (
-    "axis-straightness",
-    "camera-slip",
-    "target-slip",
-    "lens-growth",
-    "lens-step",
-)  # neither robot has a rail, nor a camera
 DRAWS = 400
 
 
@@ -51,7 +44,7 @@ def scored(cause: Cause, rng: np.random.Generator) -> Score[Cause]:
     return Score(Candidate(cause, np.arange(n)), 0.0, 0.0, 1.0, 0.0, 1.0, np.zeros(n), np.eye(n), information, n, LEFT)
 
 
-@pytest.mark.parametrize("name", [name for name in catalogue() if name not in WITHOUT])
+@pytest.mark.parametrize("name", [name for name in catalogue() if name not in UNSHOWN])
 def test_a_limit_is_of_the_size_that_findings_state(full: Measurements, name: str) -> None:
     """Breaks if a limit is of another figure of a cause's parameters than its stated size, or forgets how these vary."""
     rng = np.random.default_rng(5)

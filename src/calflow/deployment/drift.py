@@ -37,7 +37,7 @@ from calflow.estimation.needed_conditions import AT_REST
 from calflow.files.problems import InputError, refuse
 from calflow.files.tables import StoredResults, column
 from calflow.files.toml import FalseAlarm, Seed, checked_arguments
-from calflow.files.words import rounded
+from calflow.files.words import first_up, rounded
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import READINGS, reading_columns, shown_readings
 from calflow.robot.robot import Robot
@@ -76,7 +76,7 @@ def mistaken_poses(check: CheckProblem, rounds: Sequence[SearchRound], station: 
         named = " and of ".join(step.best.movement.meaning for step in rounds)
         return (
             f"a change of {named} would explain the check poses best, but leaves {rounded(left)} of {rounded(error)} mm, "
-            f"more than chance allows: it is no correction. {OF_THE_SAME[0].upper()}{OF_THE_SAME[1:]} "
+            f"more than chance allows: it is no correction. {first_up(OF_THE_SAME)} "
             "Did they carry what they state?"
         )
     return (

@@ -215,8 +215,7 @@ def validate(
     sent = _sent(data, sent, figures)
     check_stated(calibrated.needed, data.given)
     # Wander and delay of the device are in its readings, not in the robot's pose: predicted where time and speeds are stated.
-    of_device = {*calibrated.errors.inputs, *AT_REST} & {*data.given}
-    given = data.stating([*of_device, *(need.condition for need in calibrated.needed)]).given
+    given = data.stating([*calibrated.errors.inputs, *AT_REST, *(need.condition for need in calibrated.needed)]).given
     stated = calibrated.later(given, data)
     attained = Attained.of(stated, data, figures)
     _check_tolerance(tolerance, attained.unit)

@@ -84,23 +84,22 @@ class Fitted:
         return float(np.exp(alike.mean() + problem.log_determinant / (2 * problem.size)))
 
     @cached_property
-    def _beside(self) -> tuple[Fit, ErrorModel]:
-        """The fit with its information reduced by the smooth errors that the data allow, and the error model."""
-        return self._with_smooth(self.smooth.variance, float(self.left_out.excess()))
-
-    @cached_property
     def smooth(self) -> SmoothVariances:
         """The variances of smooth errors beside the model."""
         return SmoothVariances.of(replace(self.fit, problem=self._problem), self.data, self.noise.known)
 
-    def _with_smooth(self, variance: np.ndarray, elsewhere: float) -> tuple[Fit, ErrorModel]:
-        unsure, errors = beside_smooth_errors(self.smooth, variance, elsewhere)
-        return unsure, beyond_measured(errors, self.smooth, variance)
+    def with_smooth_errors(self, variance: np.ndarray, elsewhere: float = 0.0) -> tuple[np.ndarray, ErrorModel]:
+        """Return the estimate's covariance and the error model with smooth errors of given variances (n_parts,).
 
-    def with_smooth_errors(self, variance: np.ndarray) -> tuple[np.ndarray, ErrorModel]:
-        """Return the estimate's covariance and the error model with smooth errors of given variances (n_parts,)."""
-        unsure, errors = self._with_smooth(variance, 0.0)
-        return replace(self.fit, information=unsure.information).covariance, errors
+        elsewhere: excess of leave-one-pose-out errors [m], see `beside_smooth_errors`.
+        """
+        unsure, errors = beside_smooth_errors(self.smooth, variance, elsewhere)
+        covariance = replace(self.fit, information=unsure.information).covariance
+        return covariance, beyond_measured(errors, self.smooth, variance)
+
+    @cached_property
+    def _beside(self) -> tuple[np.ndarray, ErrorModel]:
+        return self.with_smooth_errors(self.smooth.variance, float(self.left_out.excess()))
 
     @property
     def errors(self) -> ErrorModel:
@@ -110,7 +109,7 @@ class Fitted:
     @property
     def covariance(self) -> np.ndarray:
         """Covariance of the estimate, smooth errors included, shape (n_parameters, n_parameters)."""
-        return replace(self.fit, information=self._beside[0].information).covariance
+        return self._beside[0]
 
     @cached_property
     def left_out(self) -> LeftOut:

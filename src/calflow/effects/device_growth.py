@@ -72,14 +72,22 @@ class StandGrowth(Warming):
         """What it grows with, and whether it rotates."""
         return f"{super().detail}{', turned too' if self.turning else ''}"
 
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Return the shift, and the rotation."""
-        per, form = ("", 0) if self.constant else ("/K", 1)
+    @property
+    def changes(self) -> list[tuple[str, str, float, str]]:
+        """Symbol, unit, usual size and meaning of each change of what is reported."""
+        form = 0 if self.constant else 1
         kinds = [("", "m", SHIFT_SDS[form], "shift along"), ("r", "rad", TURN_SDS[form], "turn about")]
+        return [
+            (symbol + axis, unit, sd, f"{meaning} {axis}")
+            for symbol, unit, sd, meaning in kinds[: 2 if self.turning else 1] for axis in "xyz"
+        ]  # fmt: skip
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return the changes, and those at first where the device warms up again after pauses."""
+        per = "" if self.constant else "/K"
         return tuple(
-            Parameter(self.id, "device", f"{symbol}{axis}{ending}", unit + per, sd, -BOUND * sd, BOUND * sd,
-                      meaning=f"{meaning} {axis}")
-            for symbol, unit, sd, meaning in kinds[: 2 if self.turning else 1] for axis in "xyz" for ending in self.symbols
+            Parameter(self.id, "device", symbol + ending, unit + per, sd, -BOUND * sd, BOUND * sd, meaning=meaning)
+            for symbol, unit, sd, meaning in self.changes for ending in self.symbols
         )  # fmt: skip
 
     def size(self, p: ca.SX) -> ca.SX:
@@ -124,14 +132,12 @@ class LensGrowth(StandGrowth):
         """Return growth with the temperature or with a grid of time constants; none for unsuitable data."""
         return () if cls.lacking(robot, data) else cls._left(robot, data)
 
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Return the change of the focal lengths, and the shift of the image's centre."""
-        unit, sd = ("1", LENS_SDS[0]) if self.constant else ("1/K", LENS_SDS[1])
-        return tuple(
-            Parameter(self.id, "device", f"{symbol}{ending}", unit, sd, -BOUND * sd, BOUND * sd,
-                      meaning=f"growth of the {meaning}")
-            for symbol, meaning in LENS for ending in self.symbols
-        )  # fmt: skip
+    @property
+    def changes(self) -> list[tuple[str, str, float, str]]:
+        """Those of the focal lengths, and of the image's centre."""
+        return [
+            (symbol, "1", LENS_SDS[0 if self.constant else 1], f"growth of the {meaning}") for symbol, meaning in LENS
+        ]
 
     def change(self, p: ca.SX, point: ca.SX) -> ca.SX:
         """Return the displacement (3,) of a point in the camera's frame that changes its image alike."""
