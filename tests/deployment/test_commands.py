@@ -9,12 +9,12 @@ import pytest
 
 from calflow.deployment.compensation import (
     TargetFrameTable,
-    Targets,
     clearance,
     compensate_rows,
     not_known,
     targets_in_measuring_frame,
 )
+from calflow.deployment.inverse_kinematics import Targets
 from calflow.estimation.needed_conditions import needed_conditions
 from calflow.files.problems import InputError
 from calflow.measurements.measurements import Measurements
@@ -78,7 +78,7 @@ def test_what_is_out_of_reach_is_named_and_the_rest_done(posed):
     )
     assert list(np.flatnonzero(~found.reached)) == [3]
     assert "1 of" in found.notes[0]
-    assert found.notes[0].endswith("not reached within the joint limits, from 12 other starts neither: pose P3")
+    assert found.notes[0].endswith("out of reach within the joint limits (29 starts tried): pose P3")
     assert found.remaining[3] > 5
 
 
@@ -91,7 +91,7 @@ def test_what_one_start_does_not_lead_to_is_not_called_out_of_reach(posed):
     found = compensate_rows(known, data, targets, start=np.roll(data.joints, 1, axis=0))
     stuck = near.reached & ~found.reached
     assert stuck.sum() >= 2
-    beyond = [note for note in found.notes if "other starts neither" in note]
+    beyond = [note for note in found.notes if "out of reach" in note]
     told = next(note for note in found.notes if "not reached from the readings given, but from others" in note)
     assert int(told.split(" of ")[0]) >= 0.8 * stuck.sum()
     assert sum(int(note.split(" of ")[0]) for note in beyond) + int(told.split(" of ")[0]) == (~found.reached).sum()

@@ -12,7 +12,7 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
-from calflow.deployment.compensation import Targets, landing, nominal_readings
+from calflow.deployment.inverse_kinematics import Targets, landing, nominal_readings
 from calflow.design.candidates import candidates
 from calflow.files.problems import InputError
 from calflow.measurements.measurements import Measurements

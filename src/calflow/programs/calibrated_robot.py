@@ -14,16 +14,9 @@ import casadi as ca
 import numpy as np
 import scipy
 
-from calflow.deployment.compensation import (
-    DRAWN,
-    Targets,
-    base_placement,
-    compensate_rows,
-    drawn_readings,
-    features,
-    landing,
-)
+from calflow.deployment.compensation import base_placement, compensate_rows
 from calflow.deployment.conventions import inverse
+from calflow.deployment.inverse_kinematics import DRAWN, Targets, drawn_readings, features, landing
 from calflow.deployment.prediction import Missing, as_stated
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.noise import members

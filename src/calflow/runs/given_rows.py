@@ -10,7 +10,8 @@ import numpy as np
 
 from calflow.calibration import Calibration
 from calflow.deployment.attained import TARGET
-from calflow.deployment.compensation import Compensation, Targets, compensate_rows, targets_in_measuring_frame
+from calflow.deployment.compensation import Compensation, compensate_rows, targets_in_measuring_frame
+from calflow.deployment.inverse_kinematics import Targets
 from calflow.deployment.prediction import Missing, beyond_limits, on_conditions_of, standing
 from calflow.estimation.registration import plausible
 from calflow.files.deferred import pd

@@ -1,4 +1,4 @@
-"""Compensation: readings that land on the targets, change least, keep to the limits, and own up to what is out of reach."""
+"""Inverse kinematics: readings that land on the targets, change least, keep to the limits, and own up to what is out of reach."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calflow.deployment.compensation import Targets, clearance, landing, nominal_readings
+from calflow.deployment.compensation import clearance
+from calflow.deployment.inverse_kinematics import Targets, landing, nominal_readings
 from calflow.deployment.prediction import beyond_limits
 from calflow.design.candidates import candidates
 from calflow.measurements.measurements import Measurements
