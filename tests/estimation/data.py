@@ -13,7 +13,6 @@ from calflow.estimation.error_model import ErrorModel, SmoothVariances, beside_s
 from calflow.estimation.fit import fit_reweighted
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import Noise, PerUnit, Source
-from calflow.files.units import RADIAN
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, build
 from robots import industrial
@@ -45,7 +44,7 @@ def measured(
 def stated(data: Measurements, sigma: float = SIGMA) -> Noise:
     """The noise as a file would state it."""
     rotation = data.table["sigma_rotation"].to_numpy() if data.rotation is not None else None
-    return Noise(np.full(len(data), sigma), ("file",), further=() if rotation is None else ((RADIAN, rotation),))
+    return Noise(np.full(len(data), sigma), ("file",), rotation=rotation)
 
 
 def problem(model: Model, data: Measurements, sigma: float = SIGMA) -> LeastSquares:

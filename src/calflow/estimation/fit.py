@@ -19,6 +19,7 @@ from calflow.estimation.accuracy import observing
 from calflow.estimation.lack_of_fit import Evidence, LackOfFit, lack_of_fit
 from calflow.estimation.least_squares import LeastSquares, Loss, Stacking, rho, rho_slope
 from calflow.estimation.noise import LEAST_SCATTER, Noise, averaged, representative
+from calflow.files.units import RADIAN
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 
@@ -288,19 +289,20 @@ def fit_reweighted(
     """Fit the means of repeats, and refit until the weights agree with the residuals.
 
     An unknown noise is estimated series by series; to a known noise the model's discrepancy is added where it is significant.
-    Returns the fit, its noise, the lack of fit against the noise alone, and the number of starts that reached the optimum.
+    Returns the fit, its noise, the lack of fit against the noise alone (of the residuals in leading units whose noise is known, if
+    there are any), and the number of starts that reached the optimum.
     """
     model = observing(model, train)
     train, noise = averaged(train, noise)
     some = representative(train, START_ROWS if len(starts) > 1 else len(train))
     result, agree = fit(LeastSquares.of(model, train.only(some), noise.only(some)), starts, loss)
-    problem = LeastSquares.of(model, train, noise)
     if not some.all():
-        result, _ = fit(problem, result.estimate[None], loss)
+        result, _ = fit(LeastSquares.of(model, train, noise), result.estimate[None], loss)
     evidence = Evidence.of(train, noise)
-    against_noise = _leading_lack(result, problem, noise, evidence, loss)
+    known = result.stacking.of_row(~noise.estimated) & result.stacking.leading
+    against_noise = _lack(result, known if known.any() else result.stacking.leading, evidence)
     for _ in range(NOISE_PASSES):
-        before, noise = noise, _reestimated(result, problem, noise, evidence, loss)
+        before, noise = noise, _reestimated(result, noise, evidence)
         problem = LeastSquares.of(model, train, noise)
         if _alike(noise, before, tolerance):
             result = restated(result, problem)
@@ -309,44 +311,37 @@ def fit_reweighted(
     return result, noise, against_noise, agree
 
 
-def _reestimated(result: Fit, problem: LeastSquares, noise: Noise, evidence: Evidence, loss: Loss) -> Noise:
+def _reestimated(result: Fit, noise: Noise, evidence: Evidence) -> Noise:
     """Return the noise re-estimated from the fit's residuals: sigma where it is unknown, the discrepancy elsewhere."""
-    stacking = problem.stacking
-    estimated = noise.estimated
-    sigma = noise.sigma.copy()
+    stacking, sigma = result.stacking, noise.sigma.copy()
     for k, source in enumerate(noise.sources):
         rows = noise.of_series(k)
         if source == "estimated" and rows.any():
-            lack = _lack(result, problem, stacking.of_row(rows) & stacking.leading, evidence, loss)
+            lack = _lack(result, stacking.of_row(rows) & stacking.leading, evidence)
             sigma[rows] = np.maximum(sigma[rows] * np.sqrt(lack.reduced_chi2), (LEAST_SCATTER * noise.usual)[rows])
     discrepancy = noise.discrepancy
-    for unit in problem.units:
-        stated = stacking.in_unit(unit) & (stacking.of_row(~estimated) | ~stacking.leading)
+    for unit in result.problem.units:
+        stated = stacking.in_unit(unit) & (stacking.of_row(~noise.estimated) | ~stacking.leading)
         if stated.any():
             # Repeats determine the noise of the leading unit alone.
             here = evidence.only_where(noise.in_unit(unit))
-            discrepancy = discrepancy.having(unit, _lack(result, problem, stated, here, loss).discrepancy)
+            discrepancy = discrepancy.having(unit, _lack(result, stated, here).discrepancy)
     return replace(noise, sigma=sigma, discrepancy=discrepancy)
 
 
-def _leading_lack(result: Fit, problem: LeastSquares, noise: Noise, evidence: Evidence, loss: Loss) -> LackOfFit:
-    """Return the lack of fit of the leading-unit residuals whose noise is known, or of all of them where none is known."""
-    stacking = problem.stacking
-    stated = stacking.of_row(~noise.estimated) & stacking.leading
-    return _lack(result, problem, stated if stated.any() else stacking.leading, evidence, loss)
-
-
-def _lack(result: Fit, problem: LeastSquares, which: np.ndarray, evidence: Evidence, loss: Loss) -> LackOfFit:
+def _lack(result: Fit, which: np.ndarray, evidence: Evidence) -> LackOfFit:
     """Return the lack of fit of a subset of the residuals, charged with its share of the effective parameters."""
-    error = (result.residual * problem.total)[which]
+    error = (result.residual * result.problem.total)[which]
+    sigma, rows = result.problem.sigma[which], result.stacking.row[which]
     determined = result.effective_parameters * np.count_nonzero(which) / len(which)
-    return lack_of_fit(error, problem.sigma[which], determined, problem.stacking.row[which], evidence, loss != "linear")
+    return lack_of_fit(error, sigma, determined, rows, evidence, trimmed=result.loss != "linear")
 
 
 def _alike(first: Noise, other: Noise, tolerance: float) -> bool:
     pairs = [(first.total, other.total)]
-    for (unit, sigma), (_, before) in zip(first.further, other.further, strict=True):
-        pairs.append((np.hypot(sigma, first.discrepancy[unit]), np.hypot(before, other.discrepancy[unit])))
+    if first.rotation is not None:
+        now, before = (np.hypot(first.rotation, noise.discrepancy[RADIAN]) for noise in (first, other))
+        pairs.append((now, before))
     return all(np.allclose(a, b, rtol=tolerance, equal_nan=True) for a, b in pairs)
 
 

@@ -207,11 +207,10 @@ def fit_figures(
     fit: Fit, noise: Noise, lack: LackOfFit, new_poses: float, limit: float, errors: ErrorModel
 ) -> dict[str, Any]:
     """Return the fields of a `FitSummary` from a fit, its noise and its error model; new_poses and its limit are in m."""
-    turned = RADIAN in dict(noise.further)
     return {
         "noise_sources": noise.sources,
         "discrepancy_mm": 1e3 * noise.discrepancy[METRE],
-        "rotation_discrepancy_mrad": 1e3 * noise.discrepancy[RADIAN] if turned else None,
+        "rotation_discrepancy_mrad": None if noise.rotation is None else 1e3 * noise.discrepancy[RADIAN],
         "discrepancies": {unit.label: unit.shown(size) for unit, size in noise.discrepancy.sizes},
         "new_poses_mm": None if np.isnan(new_poses) else 1e3 * new_poses,
         "new_poses_limit_mm": None if np.isnan(limit) else 1e3 * limit,

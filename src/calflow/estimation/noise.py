@@ -17,6 +17,7 @@ from calflow.estimation.accuracy import leading_errors, observing
 from calflow.files.problems import refuse
 from calflow.files.units import METRE, RADIAN, MeasurementUnit
 from calflow.measurements.measurements import Measurements
+from calflow.measurements.rows import condition_columns
 from calflow.model import Model
 from calflow.observations import leading_units
 from calflow.robot.frames import angles
@@ -180,8 +181,8 @@ class Noise:
     """The device's noise of each row, and the model's discrepancy, which is the same in all rows.
 
     sigma (n_rows,) [leading unit]: standard deviation per axis in the leading unit of the row's series, the first of its
-    observation; units: the leading unit of each series (empty: all metres); further: the standard deviations in other units,
-    (n_rows,) each, nan where a row has none. Where the noise of a position is anisotropic, axes (n_rows, 3, 3) holds the
+    observation; units: the leading unit of each series (empty: all metres); rotation (n_rows,) [rad]: that of orientations beside
+    positions (None: none were measured). Where the noise of a position is anisotropic, axes (n_rows, 3, 3) holds the
     principal directions of its covariance as rows and ratios (n_rows, 3) the standard deviations along them over sigma. sources:
     origin of each series' noise; series (n_rows,): index of each row's series (None: all of the first). intraclass: correlation
     of the errors about the model of positions measured at one standstill, axis by axis (see `Sharing`). scatter: that of repeats.
@@ -191,7 +192,7 @@ class Noise:
     sources: tuple[Source, ...]
     discrepancy: PerUnit = NO_DISCREPANCY
     units: tuple[MeasurementUnit, ...] = ()
-    further: tuple[tuple[MeasurementUnit, np.ndarray], ...] = ()
+    rotation: np.ndarray | None = None
     intraclass: float = 0.0
     axes: np.ndarray | None = None
     ratios: np.ndarray | None = None
@@ -242,8 +243,8 @@ class Noise:
 
     def principal(self, units: tuple[MeasurementUnit, ...]) -> np.ndarray:
         """Return the device's standard deviations along the principal axes of residuals in these units, (n_units, n_rows)."""
-        beside = dict(self.further)
-        rows = [self.sigma if unit == units[0] else beside.get(unit, self.sigma) for unit in units]
+        turns = self.sigma if self.rotation is None or units[0] == RADIAN else self.rotation
+        rows = [turns if unit == RADIAN else self.sigma for unit in units]
         if self.ratios is not None and in_space(units):
             rows[:3] = list(self.sigma * self.ratios.T)
         return np.array(rows)
@@ -269,13 +270,8 @@ class Noise:
 
     def only(self, rows: np.ndarray) -> Noise:
         """Return the noise of a subset of rows, given by a mask or by indices."""
-
-        def own(part: np.ndarray | None) -> np.ndarray | None:
-            return None if part is None else np.asarray(part[rows])
-
-        return replace(self, sigma=self.sigma[rows], further=tuple((unit, sigma[rows]) for unit, sigma in self.further),
-                       axes=own(self.axes), ratios=own(self.ratios), series=own(self.series),
-                       scatter=None if self.scatter is None else self.scatter.only(rows))  # fmt: skip
+        of_rows = {name: value[rows] for name, value in vars(self).items() if isinstance(value, np.ndarray)}
+        return replace(self, **of_rows, scatter=self.scatter and self.scatter.only(rows))
 
     @property
     def words(self) -> str:
@@ -371,7 +367,7 @@ def stated_noise(data: Measurements) -> Noise:
     return Noise(
         sigma, tuple[Source, ...]("file" for _ in data.series), axes=axes if directed else None,
         ratios=ratios if directed else None, units=leading_units(data),
-        further=((RADIAN, data.table["sigma_rotation"].to_numpy()),) if data.rotation is not None else (),
+        rotation=None if data.rotation is None else data.table["sigma_rotation"].to_numpy(),
         series=data.series_number if len(data.series) > 1 else None,
     )  # fmt: skip
 
@@ -395,9 +391,9 @@ def averaged(data: Measurements, noise: Noise) -> tuple[Measurements, Noise]:
     def of_means(sigma: np.ndarray) -> np.ndarray:
         return np.asarray(np.sqrt(np.bincount(group, weights=sigma**2)) / count)
 
-    scattered = None if noise.scatter is None else noise.scatter.gathered(group)
+    scattered = noise.scatter and noise.scatter.gathered(group)
     means = replace(noise.only(first), sigma=of_means(noise.sigma), scatter=scattered)
-    if data.rotation is not None and noise.further:
+    if data.rotation is not None and noise.rotation is not None:
         oriented = np.isfinite(data.rotation).all(axis=(1, 2))
         turns = scipy.spatial.transform.Rotation.from_matrix(data.rotation[oriented])
         spread_angles = np.full((len(count), 3), np.nan)
@@ -406,8 +402,8 @@ def averaged(data: Measurements, noise: Noise) -> tuple[Measurements, Noise]:
             spread_angles[k] = angles(turns[rows].mean())
         table = table.drop(columns=["qw", "qx", "qy", "qz"], errors="ignore")
         table[["rx", "ry", "rz"]] = spread_angles
-        means = replace(means, further=tuple((unit, of_means(sigma)) for unit, sigma in noise.further))
-        table["sigma_rotation"] = dict(means.further)[RADIAN]
+        means = replace(means, rotation=of_means(noise.rotation))
+        table["sigma_rotation"] = means.rotation
     return replace(data, table=table), means
 
 
@@ -436,13 +432,11 @@ def representative(data: Measurements, rows: int = REPRESENTATIVE) -> np.ndarray
 
 
 def _of_standstill(data: Measurements) -> list[str]:
-    given = {
-        "approach": [f"approach{i + 1}" for i in range(data.robot.n_joints)],
-        "wrench": ["fx", "fy", "fz", "mx", "my", "mz"],
-    }
-    keys = ["pose", "payload", *(name for kind in given if kind in data.given for name in given[kind])]
+    given = [condition for condition in ("approach", "wrench") if condition in data.given]
+    columns = [name for condition in given for name in condition_columns(condition, data.robot)]
     labels = [name for series in data.series for name in series.labels]
-    return keys + [name for name in dict.fromkeys(["series", "session", *labels]) if name in data.table]
+    there = [name for name in dict.fromkeys(["series", "session", *labels]) if name in data.table]
+    return ["pose", "payload", *columns, *there]
 
 
 def repeats_scatter(data: Measurements, error: np.ndarray) -> Scatter:

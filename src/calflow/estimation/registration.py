@@ -18,7 +18,6 @@ from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import Noise, Source
 from calflow.files.deferred import Rotation
 from calflow.files.problems import Problem, refuse, refuse_any
-from calflow.files.units import RADIAN
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import at_rows
 from calflow.model import Model, build
@@ -211,7 +210,7 @@ def _located(robot: Robot, observed: tuple[Observation, ...], train: Measurement
     rough = np.full(len(train), NOMINAL_ERROR)
     noise = Noise(
         rough, tuple[Source, ...]("estimated" for _ in train.series),
-        further=() if train.rotation is None else ((RADIAN, rough),),
+        rotation=None if train.rotation is None else rough,
     )  # fmt: skip
     result, _ = fit(LeastSquares.of(model, train.on(placed), noise), loss="soft_l1")
     corrections = result.estimate[result.model.columns(model.effects[0])]
