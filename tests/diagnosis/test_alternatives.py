@@ -86,6 +86,17 @@ def test_they_are_read_as_they_were_written(final, used):
         assert other.probability == pytest.approx(one.probability)
 
 
+def test_they_are_read_by_name(final):
+    """Fails if estimates are read by their place in the file: verdicts are in the order of gain, a model's causes in any."""
+    found_first, found_last = cause("joint-backlash", "joint1"), cause("gear-ratio-error", "joint3")
+    model = final.with_causes([found_first, ECCENTRIC, found_last])
+    verdicts = [replace(judged(), finding=replace(judged().finding, cause=one)) for one in (found_last, found_first)]
+    (said,) = fitted_alternatives([*verdicts, judged(ratio(1.0))], model)
+    (read,) = _alternatives(from_frame(alternatives_table([said], model.model), AlternativeParameter), model.model)
+    rows = model.data.conditions
+    assert read.model.point(read.estimate, rows) == pytest.approx(said.model.point(said.estimate, rows), abs=1e-12)
+
+
 def test_a_prediction_is_wider_by_what_the_others_say(final):
     """Fails if the choice of the model does not reach a prediction's variance, or not by its probability."""
     conditions = final.data.conditions

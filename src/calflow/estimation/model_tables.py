@@ -427,8 +427,11 @@ def _alternatives(rows: Sequence[AlternativeParameter], model: Model) -> tuple[A
         gone = causes[first.instead_of - 1] if first.instead_of else None
         come = [effect for effect in read_effects([first], model.robot) if isinstance(effect, Cause)]
         effects = (*(effect for effect in model.effects if effect != gone), *come)
-        estimate = np.array([row.estimate for row in rows_of])
         other = replace(model, effects=effects)
+        stated = {
+            row.parameter: row.estimate for row in rows_of
+        }  # in the order of the findings, which is not the model's
+        estimate = np.array([stated[parameter.name] for parameter in other.parameters])
         alternatives.append(Alternative(other, estimate, first.probability, gone, next(iter(come), None)))
     return tuple(alternatives)
 
