@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 
+import casadi as ca
 import numpy as np
 import scipy
 
@@ -24,8 +25,10 @@ from calflow.diagnosis.screening import Screening
 from calflow.effects.base import Cause
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.residual_field import learnt
-from calflow.estimation.smooth_functions import Field, JointField, SmoothFunction, beside_joints, moved_together
+from calflow.estimation.smooth_functions import JointField, SmoothFunction, beside_joints, moved_together
 from calflow.estimation.variance_components import USUAL, VarianceComponents
+from calflow.robot.mechanism import Deflection, Row, State
+from calflow.robot.parts import Parameter
 
 JOINTS = ("joints",)  # inputs of the field
 MODES = 400  # principal modes of all functions together: the others are lost in the noise
@@ -36,6 +39,48 @@ NODES = 150  # poses from which a field's correlation lengths are learnt, at mos
 FEW_AMPLITUDES = 4  # parameters at most of a cause that is not a smooth function itself
 # Steps of the intraclass correlation, from its estimate by the residual alone down to 0.
 STEPS = 3
+
+
+@dataclass(frozen=True)
+class Field(SmoothFunction):
+    """A shift of the whole arm as a Gaussian process of some joints' angles, with one correlation length per joint [rad or m].
+
+    With several arms it shifts the reported point, since a shift of their common base would not change their relative position. The
+    squared exponential kernel is approximated by Fourier features (Rahimi and Recht 2007) at quasi-random frequencies (Owen 1998).
+    """
+
+    of: tuple[int, ...]
+    lengths: tuple[float, ...]
+    n_waves: int = 128  # frequencies, each with cosine and sine
+
+    inputs = ("joints",)
+
+    @property
+    def spectrum(self) -> np.ndarray:
+        """Equal standard deviations, which make the whole as large as one function at a part's usual variance."""
+        return np.full(len(self.declared), (USUAL * self.n_waves) ** -0.5)
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return the amplitudes of cosines, then sines, along each axis."""
+        n = 2 * self.n_waves
+        return self.amplitudes("arm", (f"wave{k + 1}{axis}" for axis in "xyz" for k in range(n)))
+
+    def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
+        """Return the deflection with the arm shifted, if there is only one."""
+        if len(self.robot.tips) > 1:
+            return still
+        link = ca.SX(still.link)
+        link[:3, 0] = self._shift(p, state.q)
+        return replace(still, link=link)
+
+    def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
+        """Return the shifted point of several arms."""
+        return point + self._shift(p, row.q) if len(self.robot.tips) > 1 else point
+
+    def _shift(self, p: ca.SX, q: ca.SX) -> ca.SX:
+        even = scipy.stats.qmc.Sobol(len(self.of), seed=1).random(self.n_waves)
+        angle = ca.DM(scipy.stats.norm.ppf(even) / self.lengths) @ q[list(self.of)]
+        return ca.reshape(p, p.numel() // 3, 3).T @ ca.vertcat(ca.cos(angle), ca.sin(angle))
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,7 +23,7 @@ import casadi as ca
 import numpy as np
 import scipy
 
-from calflow.diagnosis.background import BackgroundBasis, components_beside, each_pose, uneven_causes
+from calflow.diagnosis.background import BackgroundBasis, Field, components_beside, each_pose, uneven_causes
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import Background
 from calflow.diagnosis.screening import MATERIAL, Score, Screening, by_place, place_probabilities
@@ -32,9 +32,7 @@ from calflow.effects.base import ITS_ANGLE, UNITS, Cause
 from calflow.estimation.accuracy import judged_unit
 from calflow.estimation.smooth_functions import (
     SIZE,
-    Field,
     JointField,
-    Oscillation,
     Shift,
     SmoothFunction,
     moved_together,
@@ -203,6 +201,29 @@ class Since(SmoothFunction):
         link = ca.SX(still.link)
         link[:3, -1] = p[n:] * after
         return replace(still, joint=p[:n] * after, link=link)
+
+
+@dataclass(frozen=True)
+class Oscillation(SmoothFunction):
+    """A shift of the reported point that is periodic in time."""
+
+    rate: float = 1.0  # rad/s
+
+    inputs = ("time",)
+
+    @property
+    def detail(self) -> str:
+        """The period in words."""
+        return f"period {2 * np.pi / self.rate:.3g} s"
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return the amplitudes of both phases along each axis."""
+        return self.amplitudes("device", (f"{phase}{axis}" for phase in ("cos", "sin") for axis in "xyz"))
+
+    def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
+        """Return the shifted point."""
+        angle = self.rate * row.time
+        return point + p[:3] * ca.cos(angle) + p[3:] * ca.sin(angle) if row.time.nnz() else point
 
 
 def decoys(fitted: Fitted) -> list[SmoothFunction]:

@@ -1,8 +1,7 @@
 """Smooth functions of the inputs without a physical meaning: basis functions of a robot's unnamed errors.
 
 Singly they are decoys, which are tested as causes are. Together, with normal amplitudes whose variances the data determine (see
-`variance_components`), they are the errors of a model elsewhere: functions of joints, place, payload, time and images. The
-diagnosis weighs causes against a Gaussian process of all joints together instead of the functions of joints and place.
+`variance_components`), they are the errors of a model elsewhere: functions of joints, place, payload, time and images.
 """
 
 from __future__ import annotations
@@ -143,71 +142,6 @@ class Shift(OfJoints):
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
         """Return the shifted point."""
         return point + ca.reshape(p, p.numel() // 3, 3).T @ self.waves(row.q)
-
-
-@dataclass(frozen=True)
-class Field(SmoothFunction):
-    """A shift of the whole arm as a Gaussian process of some joints' angles, with one correlation length per joint [rad or m].
-
-    With several arms it shifts the reported point, since a shift of their common base would not change their relative position. The
-    squared exponential kernel is approximated by Fourier features (Rahimi and Recht 2007) at quasi-random frequencies (Owen 1998).
-    """
-
-    of: tuple[int, ...]
-    lengths: tuple[float, ...]
-    n_waves: int = 128  # frequencies, each with cosine and sine
-
-    inputs = ("joints",)
-
-    @property
-    def spectrum(self) -> np.ndarray:
-        """Equal standard deviations, which make the whole as large as one function at a part's usual variance."""
-        return np.full(len(self.declared), (USUAL * self.n_waves) ** -0.5)
-
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Return the amplitudes of cosines, then sines, along each axis."""
-        n = 2 * self.n_waves
-        return self.amplitudes("arm", (f"wave{k + 1}{axis}" for axis in "xyz" for k in range(n)))
-
-    def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
-        """Return the deflection with the arm shifted, if there is only one."""
-        if len(self.robot.tips) > 1:
-            return still
-        link = ca.SX(still.link)
-        link[:3, 0] = self._shift(p, state.q)
-        return replace(still, link=link)
-
-    def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
-        """Return the shifted point of several arms."""
-        return point + self._shift(p, row.q) if len(self.robot.tips) > 1 else point
-
-    def _shift(self, p: ca.SX, q: ca.SX) -> ca.SX:
-        even = scipy.stats.qmc.Sobol(len(self.of), seed=1).random(self.n_waves)
-        angle = ca.DM(scipy.stats.norm.ppf(even) / self.lengths) @ q[list(self.of)]
-        return ca.reshape(p, p.numel() // 3, 3).T @ ca.vertcat(ca.cos(angle), ca.sin(angle))
-
-
-@dataclass(frozen=True)
-class Oscillation(SmoothFunction):
-    """A shift of the reported point that is periodic in time."""
-
-    rate: float = 1.0  # rad/s
-
-    inputs = ("time",)
-
-    @property
-    def detail(self) -> str:
-        """The period in words."""
-        return f"period {2 * np.pi / self.rate:.3g} s"
-
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Return the amplitudes of both phases along each axis."""
-        return self.amplitudes("device", (f"{phase}{axis}" for phase in ("cos", "sin") for axis in "xyz"))
-
-    def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
-        """Return the shifted point."""
-        angle = self.rate * row.time
-        return point + p[:3] * ca.cos(angle) + p[3:] * ca.sin(angle) if row.time.nnz() else point
 
 
 class LinkLengths(SmoothFunction):
