@@ -32,7 +32,9 @@ def linearised():
     asked = problem(model, data)
     found = fit(asked)[0]
     poses = rng.permutation(np.repeat(np.arange(POSES), MARKERS))
-    blocks = (replace(block, sharing=Sharing(poses, 0.4)).together(poses) for block in asked.blocks)
+    blocks = (
+        replace(block, sharing=Sharing(poses, 0.4)).at(np.argsort(poses, kind="stable")) for block in asked.blocks
+    )
     together = replace(asked, blocks=tuple(blocks))
     modes = np.linalg.qr(rng.standard_normal((asked.size, 4)))[0]
     background = Background((("q1",),), (), modes, (3.0 * np.eye(4),), asked.weight, (4.0,), 18.0, 8)

@@ -138,15 +138,11 @@ class ErrorModel:
 
     def at(self, model: Model, estimate: np.ndarray, conditions: np.ndarray) -> ErrorsAtRows:
         """Return the error model evaluated at rows."""
-        return ErrorsAtRows(self, self._moved(model, estimate, conditions))
-
-    def _moved(self, model: Model, estimate: np.ndarray, conditions: np.ndarray) -> np.ndarray:
-        """Return the change of reported positions by each amplitude at one standard deviation, (n_rows, 3, n_functions) [m]."""
         if not self.functions:
-            return np.zeros((conditions.shape[1], 3, 0))
+            return ErrorsAtRows(self, np.zeros((conditions.shape[1], 3, 0)))
         beside, n = _with(model, self.functions), len(estimate)
         at = np.append(estimate, beside.nominal[n:])
-        return np.asarray(beside.position_jacobian(at, conditions)[:, :, n:] * self.sd)
+        return ErrorsAtRows(self, beside.position_jacobian(at, conditions)[:, :, n:] * self.sd)
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,12 +151,6 @@ class ErrorsAtRows:
 
     of: ErrorModel
     moved: np.ndarray
-
-    @property
-    def unsure(self) -> np.ndarray:
-        """Variance of the errors given the parameters, shape (n_rows, 3) [m²]."""
-        smooth = (self.moved**2).sum(axis=2) - ((self.moved @ self.of.told) ** 2).sum(axis=2)
-        return np.asarray(self.of.rest**2 + np.maximum(smooth, 0.0))
 
     def slopes(self, jacobian: np.ndarray) -> np.ndarray:
         """Return the total derivatives of positions by the parameters (n_rows, 3, n_parameters), through the amplitudes too."""
@@ -175,7 +165,8 @@ class ErrorsAtRows:
         """
         slopes, offset = self.slopes(jacobian), self.of.offset
         alone = np.maximum(of_parameters(slopes, covariance) - (slopes @ offset) ** 2, 0.0)
-        return np.asarray(self.unsure + alone + self.expected(jacobian, offset) ** 2)
+        smooth = np.maximum((self.moved**2).sum(axis=2) - ((self.moved @ self.of.told) ** 2).sum(axis=2), 0.0)
+        return np.asarray(self.of.rest**2 + smooth + alone + self.expected(jacobian, offset) ** 2)
 
     def shared(self, jacobian: np.ndarray, covariance: np.ndarray) -> np.ndarray:
         """Return the errors as factors (n_rows, 3, n) [m] of independent standard normals, for the same arguments.

@@ -199,8 +199,7 @@ def _scale(fit: Fit, scaled: np.ndarray, largest: float) -> list[Statement]:
     names = tuple(model.parameters[k].name for k in order)
     weights = tuple(float(direction[k] / direction[order[0]]) for k in order)
     wholly = length <= ALMOST_NULL * largest
-    statement = scale_words(wholly)
-    return [Statement(kind="scale", parameters=names, statement=statement, weights=weights, wholly=wholly)]
+    return [Statement(kind="scale", parameters=names, statement=scale_words(wholly), weights=weights, wholly=wholly)]
 
 
 def _scaled(fit: Fit) -> np.ndarray:
@@ -220,40 +219,31 @@ def _directions(
     for direction in _echelon(basis):
         order = np.argsort(-np.abs(direction))
         follows = follower & (np.abs(direction) * unsure[order[0]] > MOSTLY * unsure)
-        named = [(names[k], direction[k]) for k in order if abs(direction[k]) > NAMED or follows[k]]
-        traded = tuple(name for name, _ in named)
-        weights = tuple(float(value / named[0][1]) for _, value in named)
+        named = [k for k in order if abs(direction[k]) > NAMED or follows[k]]
+        traded = tuple(names[k] for k in named)
         if len(named) == 1:
-            statement = silent_words(traded[0], null)
+            statement = f"the data say {_little(null)} about {traded[0]}; its value was assumed, not measured"
             rows.append(Statement(kind="silent", parameters=traded, statement=statement, wholly=null))
-        else:
-            statement = trade_words(traded, weights, null)
-            rows.append(Statement(kind="trade", parameters=traded, statement=statement, weights=weights, wholly=null))
+            continue
+        weights = tuple(float(direction[k] / direction[named[0]]) for k in named)
+        pairs = zip(traded[1:], weights[1:], strict=True)
+        others = ", ".join(f"{name} ({number(weight, '+.2g')})" for name, weight in pairs)
+        tail = "only their combination is known" if null else "the data hardly separate them"
+        statement = f"{traded[0]} trades against {others}: {tail}"
+        rows.append(Statement(kind="trade", parameters=traded, statement=statement, weights=weights, wholly=null))
     return rows
-
-
-def silent_words(name: str, wholly: bool) -> str:
-    """Return the sentence that the data do not determine a parameter."""
-    return (
-        f"the data say {'nothing' if wholly else 'hardly anything'} about {name}; its value was assumed, not measured"
-    )
-
-
-def trade_words(names: Sequence[str], weights: Sequence[float], wholly: bool) -> str:
-    """Return the sentence that parameters trade off against the first, with their weights."""
-    others = ", ".join(
-        f"{name} ({number(weight, '+.2g')})" for name, weight in zip(names[1:], weights[1:], strict=True)
-    )
-    tail = "only their combination is known" if wholly else "the data hardly separate them"
-    return f"{names[0]} trades against {others}: {tail}"
 
 
 def scale_words(wholly: bool) -> str:
     """Return the sentence that the data do not determine the robot's scale."""
     return (
-        f"the data say {'nothing' if wholly else 'hardly anything'} about how large the robot is, only about its proportions. "
+        f"the data say {_little(wholly)} about how large the robot is, only about its proportions. "
         "One known length would settle it, such as the distance between two sockets, a bar or a wire"
     )
+
+
+def _little(wholly: bool) -> str:
+    return "nothing" if wholly else "hardly anything"
 
 
 def _echelon(basis: np.ndarray) -> np.ndarray:

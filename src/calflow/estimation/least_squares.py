@@ -192,10 +192,6 @@ class SeriesBlock:
         """Key of its function in the model's cache: index of the observation, and number of weights per row."""
         return f"{self.model.observations.index(self.observation)} {len(self.whitening)}"
 
-    def together(self, group: np.ndarray) -> SeriesBlock:
-        """Return the same rows, sorted so that those of one group (n_rows,) are adjacent."""
-        return self.at(np.argsort(group, kind="stable"))
-
     def at(self, places: np.ndarray) -> SeriesBlock:
         """Return the rows at the given indices (n,), in this order; they must be whole standstills."""
         return replace(

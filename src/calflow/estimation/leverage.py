@@ -200,7 +200,7 @@ def _by_pose(fit: Fit, pose: np.ndarray) -> Iterator[np.ndarray]:
         lengths = np.array([unit == METRE for unit in block.observation.units])
         if not lengths.any():
             continue
-        block = block.together(pose[block.rows])
+        block = block.at(np.argsort(pose[block.rows], kind="stable"))
         for part, (rows, residual, jacobian) in zip(
             block.parts(pose[block.rows]), block.linearised(fit.estimate, pose[block.rows]), strict=True
         ):
@@ -242,19 +242,18 @@ def halved(places: np.ndarray, levels: int) -> np.ndarray:
 
 def extrapolation(data: Measurements) -> tuple[Extrapolation, ...]:
     """Return the joints whose held-out readings lie beyond the fitted range, where held-out accuracy is extrapolation."""
-    train, heldout = data.joints[data.train], data.joints[data.held_out]
-    if not len(heldout):
+    if not data.held_out.any():
         return ()
-    low, high = train.min(axis=0), train.max(axis=0)
-    margin = BEYOND * np.maximum(high - low, np.ptp(data.joints[data.train | data.held_out], axis=0))
-    beyond = (heldout < low - margin) | (heldout > high + margin)
-    return tuple(
-        Extrapolation(joint=int(i) + 1, rows=int(beyond[:, i].sum())) for i in np.flatnonzero(beyond.any(axis=0))
-    )
+    every = data.joints[data.train | data.held_out]
+    rows = beyond(data.joints[data.held_out], data.joints[data.train], np.ptp(every, axis=0)).sum(axis=0)
+    return tuple(Extrapolation(joint=int(i) + 1, rows=int(rows[i])) for i in np.flatnonzero(rows))
 
 
-def beyond(readings: np.ndarray, measured: np.ndarray) -> np.ndarray:
-    """Return the mask of joint readings (n_rows, n_joints) outside the measured range (n_measured, n_joints) by a tenth of it."""
+def beyond(readings: np.ndarray, measured: np.ndarray, travel: np.ndarray | None = None) -> np.ndarray:
+    """Return the mask of joint readings (n_rows, n_joints) outside the measured range (n_measured, n_joints).
+
+    They are so by more than a tenth of a travel (n_joints,), by default that range.
+    """
     low, high = measured.min(axis=0), measured.max(axis=0)
-    margin = BEYOND * (high - low)
+    margin = BEYOND * (high - low if travel is None else travel)
     return np.asarray((readings < low - margin) | (readings > high + margin))

@@ -90,24 +90,15 @@ class Coordinates:
 
 def _truncated(u: np.ndarray, least: np.ndarray, most: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Map a standard normal variate to one truncated at least and most; also return the logarithm of the derivative."""
-    sign, low, high = _lower_half(least, most)
-    log_cdf = scipy.special.log_ndtr
-    sum_of_tails = np.logaddexp(log_cdf(low) + log_cdf(-sign * u), log_cdf(high) + log_cdf(sign * u))
-    z = sign * scipy.special.ndtri_exp(sum_of_tails)
-    return z, (z**2 - u**2) / 2 + _log_mass(low, high)
-
-
-def _lower_half(least: np.ndarray, most: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Reflect an interval that lies mostly above zero (sign -1): the normal's log cdf is accurate in the lower tail."""
+    # An interval mostly above zero is reflected: the normal's log cdf is accurate in the lower tail.
     reflect = least + most > 0
-    return np.where(reflect, -1.0, 1.0), np.where(reflect, -most, least), np.where(reflect, -least, most)
-
-
-def _log_mass(low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Return the log of a standard normal's mass in [low, high], an interval reflected to the lower half."""
-    top = scipy.special.log_ndtr(high)
+    sign, low, high = np.where(reflect, -1.0, 1.0), np.where(reflect, -most, least), np.where(reflect, -least, most)
+    log_cdf = scipy.special.log_ndtr
+    below, top = log_cdf(low), log_cdf(high)
+    z = sign * scipy.special.ndtri_exp(np.logaddexp(below + log_cdf(-sign * u), top + log_cdf(sign * u)))
     with np.errstate(divide="ignore"):
-        return np.asarray(top + np.log(-np.expm1(np.minimum(scipy.special.log_ndtr(low) - top, 0.0))))
+        log_mass = top + np.log(-np.expm1(np.minimum(below - top, 0.0)))
+    return z, (z**2 - u**2) / 2 + log_mass
 
 
 @dataclass(frozen=True)
@@ -267,23 +258,12 @@ def move_mixture(independent: float) -> list[tuple[Move, float]]:
 
 def propose_student(u: np.ndarray, rng: np.random.RandomState) -> tuple[np.ndarray, np.ndarray]:
     """Return draws (n_walkers, n_dimensions) of a multivariate Student t of unit scale, and log Hastings ratios for emcee."""
-    degrees = _degrees(u.shape[1])
+    # With few degrees of freedom, radii in many dimensions would differ from a normal's.
+    degrees = max(LEAST_DEGREES, 2 * u.shape[1])
     mixing = rng.chisquare(degrees, size=(len(u), 1)) / degrees
     proposed = rng.standard_normal(u.shape) / np.sqrt(mixing)
-    return proposed, log_student(u) - log_student(proposed)
-
-
-def _degrees(n_dimensions: int) -> int:
-    """Return twice the dimensions: with few degrees of freedom, radii in many dimensions would differ from a normal's."""
-    return max(LEAST_DEGREES, 2 * n_dimensions)
-
-
-def log_student(u: np.ndarray) -> np.ndarray:
-    """Return the log density (n,) of the proposal's Student t at u (n, n_dimensions)."""
-    n, degrees = u.shape[1], _degrees(u.shape[1])
-    log_gamma = scipy.special.gammaln
-    constant = log_gamma((degrees + n) / 2) - log_gamma(degrees / 2) - 0.5 * n * np.log(degrees * np.pi)
-    return np.asarray(constant - 0.5 * (degrees + n) * np.log1p((u**2).sum(axis=1) / degrees))
+    student = scipy.stats.multivariate_t(shape=np.eye(u.shape[1]), df=degrees)
+    return proposed, student.logpdf(u) - student.logpdf(proposed)
 
 
 def _sum_of_squares(problem: LeastSquares) -> Squares:

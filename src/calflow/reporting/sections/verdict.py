@@ -15,7 +15,7 @@ from calflow.diagnosis.findings import Finding
 from calflow.effects.base import UNEXPLAINED, cause_family, place_name
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.certainty import PROMISED, Certainty
-from calflow.estimation.identifiability import Statement, scale_words, silent_words, trade_words
+from calflow.estimation.identifiability import Statement
 from calflow.files.deferred import pd
 from calflow.files.words import chance, effect_words, first_up, listed, mm, number, percent, plural, plural_word
 from calflow.reporting.advice import BY_PRIOR, SURPRISE, WRONG, advice, of_kind, spoken
@@ -356,11 +356,8 @@ def _trade_sentences(trades: Sequence[Statement], outcome: RunOutcome) -> Iterat
 
 def statement_words(statement: Statement) -> str:
     """Return a statement of identifiability as a sentence."""
-    if statement.kind == "trade":
-        return f"{trade_words(statement.parameters, statement.weights, statement.wholly)}."
-    if statement.kind == "scale":
-        return f"{first_up(scale_words(statement.wholly))}."
-    return f"{first_up(silent_words(statement.parameters[0], statement.wholly))}."
+    words = statement.statement  # a trade's begin with a parameter's name
+    return f"{words if statement.kind == 'trade' else first_up(words)}."
 
 
 def levels_of_effort(material: Material) -> list[Block]:
