@@ -25,7 +25,7 @@ from blind_run import Kind, Row, guarded, hidden_names, run_case, run_kind
 from scipy.stats import binomtest
 
 from calflow.design.discrimination import MOST_NEXT_POSES
-from calflow.diagnosis.verdict import label
+from calflow.effects.base import NamedCause
 from calflow.runs.run import run
 from calflow.study import load_study
 from hidden.case import Case, draw
@@ -89,7 +89,7 @@ def measured_again(job: Job) -> Row:
             return known
         first = asked.iloc[0]
         open_ = str(first["leaves_open"]).replace(" or ", "; ").split("; ")
-        known |= {"promised": label(h.cause, h.joint) not in open_, "chance": first["chance_after"]}
+        known |= {"promised": NamedCause(h.cause, h.joint).label not in open_, "chance": first["chance_after"]}
         _measure(folder, case, job.seed, asked)
         again = run(load_study(folder), folder / "run").results
         return known | verdicts.told(again) | verdicts.one(h, again)

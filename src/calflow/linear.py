@@ -16,7 +16,7 @@ import numpy as np
 import scipy
 
 from calflow.diagnosis import FALSE_ALARM
-from calflow.diagnosis.regressors import Candidate, Held, Regressors
+from calflow.diagnosis.regressors import Candidate, Regressors, TallMatrix
 from calflow.diagnosis.screening import Family, Score
 from calflow.diagnosis.serial_errors import LikelyErrors, RestrictedLikelihood, RowOrder
 from calflow.diagnosis.stepwise import (
@@ -286,7 +286,7 @@ class LinearTrial(Trial[Block]):
             precision=precision[free],
             pull=(precision * solution.estimate)[free],
             prior_rss=float(precision @ solution.estimate**2),
-            matrix=Held(shown / solution.level),
+            matrix=TallMatrix.held(shown / solution.level),
             prior_sd=np.concatenate([block.sd for block in problem.blocks]),
             candidates=problem.candidates,
             amplitude_freedom=None

@@ -15,7 +15,7 @@ from calflow.design.isolability import (
     isolability_summary,
 )
 from calflow.design.planned import Planned
-from calflow.diagnosis.regressors import Candidate, Held, Regressors
+from calflow.diagnosis.regressors import Candidate, Regressors, TallMatrix
 from calflow.diagnosis.screening import Family, Screening
 from calflow.linear import Block
 from calflow.measurements.series import Series
@@ -95,7 +95,7 @@ def test_chances_are_those_of_fits_to_simulated_measurements():
     information = fitted.T @ fitted
     taken = float(np.trace(np.linalg.solve(information + np.diag(prior**-2.0), information)))
     regressors = Regressors(
-        noise, fitted, prior**-2.0, np.zeros(4), 0.0, Held(matrix), np.concatenate([block.sd for block in blocks]),
+        noise, fitted, prior**-2.0, np.zeros(4), 0.0, TallMatrix.held(matrix), np.concatenate([block.sd for block in blocks]),
         tuple(candidates),
     )  # fmt: skip
     family = Family({}, 5.0)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calflow.diagnosis.candidates import detection_limits, noncentrality
-from calflow.diagnosis.regressors import Candidate, Held, Regressors
+from calflow.diagnosis.regressors import Candidate, Regressors, TallMatrix
 from calflow.diagnosis.screening import Family, Screening, f_threshold
 from calflow.diagnosis.stepwise import CauseAcceptance, Screened
 from calflow.diagnosis.verdict import amplitude
@@ -34,7 +34,7 @@ def regressors(cause: Cause, rows: int) -> Regressors:
     matrix = rng.standard_normal((rows, len(sd))) * np.geomspace(1.0, 0.1, len(sd)) / sd
     candidate = Candidate(cause, np.arange(len(sd)))
     jacobian, precision = rng.standard_normal((rows, 5)), np.full(5, 0.1)
-    return Regressors(np.zeros(rows), jacobian, precision, np.zeros(5), 0.0, Held(matrix), sd, (candidate,))
+    return Regressors(np.zeros(rows), jacobian, precision, np.zeros(5), 0.0, TallMatrix.held(matrix), sd, (candidate,))
 
 
 @pytest.mark.parametrize(("rows", "name"), [(300, name) for name in CAUSES] + [(6000, "one figure")])
@@ -51,7 +51,7 @@ def test_a_cause_at_its_detection_limit_is_found_95_times_in_100(name: str, rows
         values = rng.standard_normal(len(cause.declared)) * problem.prior_sd
         values = np.where(cause.bounds[0] == 0, np.abs(values), values)
         values *= limit / abs(amplitude(cause, values, np.eye(len(values)))[0])
-        residual = rng.standard_normal(rows) - problem.matrix.values @ values  # of the model, less what is measured
+        residual = rng.standard_normal(rows) - problem.matrix.times(values)  # of the model, less what is measured
         found += ACCEPTANCE.accepts(Screening(replaced(problem, residual)).scores[0], family)
     assert 0.91 < found / draws < 0.985
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calflow.diagnosis.regressors import Candidate, Held, Regressors
+from calflow.diagnosis.regressors import Candidate, Regressors, TallMatrix
 from calflow.diagnosis.screening import Family, Screening
 from calflow.diagnosis.stepwise import Exchange
 from calflow.effects import catalogue
@@ -40,7 +40,9 @@ def regressors():
     candidates = tuple(
         Candidate(cause, np.arange(i, j)) for cause, i, j in zip(every, ends[:-1], ends[1:], strict=True)
     )
-    return Regressors(residual, jacobian, np.full(OWN, 0.1), np.zeros(OWN), 0.0, Held(matrix), prior_sd, candidates)
+    return Regressors(
+        residual, jacobian, np.full(OWN, 0.1), np.zeros(OWN), 0.0, TallMatrix.held(matrix), prior_sd, candidates
+    )
 
 
 FAMILY = Family({}, 30.0)
@@ -48,7 +50,7 @@ FAMILY = Family({}, 30.0)
 
 def chi2(regressors, columns, sizes=()):
     """What a fit with some candidates' columns leaves, by ordinary least squares with the priors of these sizes as rows."""
-    whole = np.hstack([regressors.jacobian, regressors.matrix.values[:, columns]])
+    whole = np.hstack([regressors.jacobian, regressors.matrix.times(np.eye(regressors.matrix.shape[1]))[:, columns]])
     prior = np.diag(np.sqrt([*regressors.precision, *(regressors.prior_sd[columns] * sizes) ** -2.0]))
     left = np.append(regressors.residual, np.zeros(len(prior)))
     return float(np.linalg.lstsq(np.vstack([whole, prior]), left, rcond=None)[1][0])
@@ -89,7 +91,7 @@ def test_two_causes_of_one_place_stand_as_any_pair_does(regressors):
     """Breaks if two waves of one joint, or two steps of the device, give way to whatever comes first."""
     twice = [Cause(ROBOT, catalogue()["joint-eccentricity"](ROBOT, order=order), "joint1") for order in (1, 2)]
     there = (Candidate(twice[0], np.arange(6, 8)), Candidate(twice[1], np.arange(8, 10)))
-    both = regressors.matrix.values[:, 6:10] @ np.array([3e-5, 1e-5, -2e-5, 2e-5])
+    both = regressors.matrix.times(np.eye(regressors.matrix.shape[1]))[:, 6:10] @ np.array([3e-5, 1e-5, -2e-5, 2e-5])
     candidates = (*regressors.candidates[2:6], *there)
     alone = with_residual(regressors, regressors.residual + both, candidates=candidates)
     assert not list(Exchange.of(Screening(alone), FAMILY, twice).better())
@@ -107,7 +109,9 @@ def replaced(regressors, residual):
 def test_one_cause_takes_the_place_of_two_that_imitate_it(regressors):
     """Breaks if two causes that together resemble a third keep it out, or right ones give way to what resembles them."""
     truly = with_residual(
-        regressors, np.random.default_rng(2).standard_normal(ROWS) + regressors.matrix.values[:, 2] * 6e-5
+        regressors,
+        np.random.default_rng(2).standard_normal(ROWS)
+        + regressors.matrix.times(np.eye(regressors.matrix.shape[1]))[:, 2] * 6e-5,
     )
     imitating = Exchange.of(Screening(truly), FAMILY, [causes()[0], causes()[1]])
     assert imitating.alone().cause == causes()[2]

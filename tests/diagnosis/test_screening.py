@@ -100,7 +100,9 @@ def test_sums_without_a_parameter_are_those_of_the_rows(regressors):
 
 def with_residual(r, residual, **changes):
     """The same regressors with another residual."""
-    products = replace(r.products, fitted_left=r.jacobian.T @ residual, left=r.matrix.values.T @ residual)
+    products = replace(
+        r.products, fitted_left=r.jacobian.T @ residual, left=r.matrix.times(np.eye(r.matrix.shape[1])).T @ residual
+    )
     return replace(r, residual=residual, added_up=products, **changes)
 
 

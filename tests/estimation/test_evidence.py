@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from calflow.diagnosis.regressors import Candidate, Held, Regressors
+from calflow.diagnosis.regressors import Candidate, Regressors, TallMatrix
 from calflow.diagnosis.screening import Screening
 from calflow.estimation.variance_components import LOG_PRIOR, SIZES, explained, mixed, size_cost
 from calflow.linear import Block
@@ -73,7 +73,7 @@ def look_alikes(rng, hidden):
     blocks = [Block(name, both[:, [k]], 1.0) for k, name in enumerate("ab")]
     candidates = tuple(Candidate(block, np.array([k])) for k, block in enumerate(blocks))
     residual = (left - own @ factor) / 0.3
-    jacobian, matrix = own / 0.3, Held(both / 0.3)
+    jacobian, matrix = own / 0.3, TallMatrix.held(both / 0.3)
     return Screening(Regressors(residual, jacobian, flat, -flat * factor, 0.0, matrix, np.ones(2), candidates))
 
 

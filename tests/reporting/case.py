@@ -19,7 +19,7 @@ from calflow.diagnosis.cause_curves import CurvePoint
 from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.findings import Finding
 from calflow.diagnosis.misfit import MisfitRegion
-from calflow.diagnosis.verdict import ONLY, CauseProbability, ModelRow, label
+from calflow.diagnosis.verdict import ONLY, CauseProbability, ModelRow
 from calflow.effects import catalogue
 from calflow.effects.base import Cause, NamedCause
 from calflow.estimation.accuracy import Accuracy
@@ -291,7 +291,7 @@ def _poses(open_: list[Found], number: int) -> pd.DataFrame:
         cause, joint = one.others[0]
         rows += [
             NextPose(pose=k, readings={"q1_deg": float(k), "q2_deg": 1.0, "q3_deg": 2.0}, approach={}, payload="",
-                     tells=label(one.cause, one.joint), rivals=(label(cause, joint),), leaves_open="",
+                     tells=NamedCause(one.cause, one.joint).label, rivals=(NamedCause(cause, joint).label,), leaves_open="",
                      separation_before_sd=1.2, separation_after_sd=6.5, chance_after=0.99, cause=one.cause,
                      joint=one.joint or None, rival_causes=(cause,), rival_joints=(joint,), open_causes=(), open_joints=(),
                      open_other_causes=(), open_other_joints=())

@@ -17,7 +17,7 @@ from calflow.diagnosis.diagnosis import Diagnosis
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import Score
 from calflow.diagnosis.stepwise import Detection
-from calflow.diagnosis.verdict import Rival, Verdict, label
+from calflow.diagnosis.verdict import Rival, Verdict, named
 from calflow.effects import effect_class
 from calflow.effects.base import ASKED, Cause
 from calflow.estimation.least_squares import LeastSquares
@@ -309,8 +309,8 @@ def poses_table(questions: Sequence[Question], fitted: Fitted) -> pd.DataFrame:
                 NextPose(
                     pose=len(rows) + 1, readings=dict(zip(names, readings[k], strict=True)),
                     approach={side: int(table[side].iloc[k]) for side in sides}, payload=payload,
-                    tells=_label(cause), rivals=tuple(map(_label, plan.rivals)),
-                    leaves_open="; ".join(f"{_label(one)} or {_label(other)}" for one, other in plan.left_open),
+                    tells=named(cause).label, rivals=tuple(named(rival).label for rival in plan.rivals),
+                    leaves_open="; ".join(f"{named(one).label} or {named(other).label}" for one, other in plan.left_open),
                     separation_before_sd=plan.before, separation_after_sd=plan.after, chance_after=plan.chance,
                     cause=cause.id, joint=cause.joint or None, rival_causes=tuple(rival.id for rival in plan.rivals),
                     rival_joints=tuple(rival.joint for rival in plan.rivals),
@@ -336,10 +336,6 @@ def separations_table(questions: Sequence[Question]) -> pd.DataFrame:
         for asked in questions for separation in asked.separations
     ]  # fmt: skip
     return to_frame(rows, SeparationRow)
-
-
-def _label(cause: Cause | Rival) -> str:
-    return label(cause.id, cause.joint)
 
 
 def planned_like(fitted: Fitted, share: float) -> Planned:

@@ -19,12 +19,11 @@ from calflow.design.discrimination import ANY_MEANS, ENOUGH
 from calflow.design.measuring_order import reached
 from calflow.design.planned import Planned, Record
 from calflow.diagnosis import FALSE_ALARM
-from calflow.diagnosis.regressors import Candidate, H, Held, Regressors, candidates_of
+from calflow.diagnosis.regressors import Candidate, H, Regressors, TallMatrix, candidates_of
 from calflow.diagnosis.screening import Catalogue, Family, Screening
 from calflow.diagnosis.stepwise import SHARES, WITHIN
-from calflow.diagnosis.verdict import label
 from calflow.effects import Effect, effect_class
-from calflow.effects.base import Cause
+from calflow.effects.base import Cause, NamedCause
 from calflow.estimation.probing import probed
 from calflow.files.deferred import pd
 from calflow.files.tables import column, to_frame
@@ -206,7 +205,7 @@ class Isolability:
         if not cause.part:
             return cause.id
         alone = cause.joint or sum(cause.id == id_ for id_, _ in self.causes) == 1
-        return label(cause.id, cause.joint) if alone else f"{cause.id} ({cause.part})"
+        return NamedCause(cause.id, cause.joint).label if alone else f"{cause.id} ({cause.part})"
 
     def _words(
         self, cause: PlacedCause, rival: PlacedCause | None, filled: tuple[str, float] | None, tried: Mapping[str, Isolability]
@@ -347,7 +346,7 @@ def _regressors(
         if effect.inevitable:
             point[model.columns(effect)] += sd[model.columns(effect)]
     _, matrix = probed(planned.problem(model, point, conditions), point, effects)
-    residual, held = rng.standard_normal(len(matrix)), Held(matrix[:, n:])
+    residual, held = rng.standard_normal(len(matrix)), TallMatrix.held(matrix[:, n:])
     prior_sd = np.array([parameter.prior_sd for effect in effects for parameter in effect.declared])
     return Regressors(residual, matrix[:, :n], sd**-2.0, np.zeros(n), 0.0, held, prior_sd, candidates_of(effects))
 

@@ -32,7 +32,7 @@ from calflow.diagnosis.diagnosis import Diagnosis, extended_model
 from calflow.diagnosis.findings import findings
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import Catalogue
-from calflow.diagnosis.verdict import label
+from calflow.diagnosis.verdict import named
 from calflow.effects.base import UNEXPLAINED
 from calflow.estimation.accuracy import distances, errors
 from calflow.estimation.calibrated_model import Alternative, CalibratedModel, offsets
@@ -155,10 +155,8 @@ def _discriminating(asked: Sequence[Question], choices: Measurements, most: int)
         for question, plan in plans:
             if k < len(plan.poses) and len(reasons) < most:
                 same = (choices.joints == plan.poses.joints[k]).all(axis=1)
-                rivals = ", ".join(label(rival.id, rival.joint) for rival in plan.rivals)
-                reasons.setdefault(
-                    int(same.argmax()), f"distinguishes {label(question.cause.id, question.cause.joint)} from {rivals}"
-                )
+                rivals = ", ".join(named(rival).label for rival in plan.rivals)
+                reasons.setdefault(int(same.argmax()), f"distinguishes {named(question.cause).label} from {rivals}")
     return reasons
 
 
@@ -179,6 +177,7 @@ def _reason(every: Sequence[Uncertainty], criterion: ToolError, before: np.ndarr
     return PRECISION if best == PARAMETERS else f"suspected: {best}"
 
 
+Kind = Literal["cause", "background", "pose", "rival"]
 Status = Literal["stop", "measure", "no tolerance", "too few", "nothing measured"]
 
 
@@ -194,7 +193,7 @@ class Suspect:
     """An effect that the model may lack, or have under another name, without proof."""
 
     name: str = column("a cause's id and joint; or the inputs of a smooth background; `pose`: every pose for itself")
-    kind: Literal["cause", "background", "pose", "rival"] = column("its kind; a rival: in place of a cause found")
+    kind: Kind = column("its kind; a rival: in place of a cause found")
     probability: float = column("its posterior probability")
 
 
@@ -359,22 +358,18 @@ def _table(model: Model, choices: Measurements, reasons: Mapping[int, str], aske
 
 def _suspects(diagnosis: Diagnosis, fitted: Fitted, causes: Sequence[LackingCause]) -> tuple[Suspect, ...]:
     """Return the suspects, the likeliest first."""
-    every = [Suspect(name=cause.name, kind="cause", probability=cause.probability) for cause in causes]
-    every += [
-        Suspect(name=" and ".join(inputs), kind="background", probability=probability)
-        for inputs, probability in fitted.smooth.probabilities.items()
+    of_poses = float(independent_sizes(fitted)[1][1:].sum())
+    every: list[tuple[str, Kind, float]] = [
+        *((cause.name, "cause", cause.probability) for cause in causes),
+        *((" and ".join(inputs), "background", share) for inputs, share in fitted.smooth.probabilities.items()),
+        ("pose", "pose", of_poses),
+        *(
+            (named(rival.rival).label if rival.rival else UNEXPLAINED, "rival", rival.probability)
+            for rival in _rivals(diagnosis)
+        ),
     ]
-    every.append(Suspect(name="pose", kind="pose", probability=float(independent_sizes(fitted)[1][1:].sum())))
-    every += [
-        Suspect(
-            name=label(rival.rival.id, rival.rival.joint) if rival.rival else UNEXPLAINED,
-            kind="rival",
-            probability=rival.probability,
-        )
-        for rival in _rivals(diagnosis)
-    ]
-    likely = [suspect for suspect in every if suspect.probability >= LIKELY]
-    return tuple(sorted(likely, key=lambda suspect: -suspect.probability))
+    likeliest = sorted(every, key=lambda suspect: -suspect[2])
+    return tuple(Suspect(name=name, kind=kind, probability=share) for name, kind, share in likeliest if share >= LIKELY)
 
 
 def numbered_on(table: pd.DataFrame, data: Measurements | None) -> pd.DataFrame:

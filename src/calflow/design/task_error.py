@@ -20,7 +20,7 @@ from calflow.design.planned import Measure, Planned, Task
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import Catalogue, by_place, place_probabilities
 from calflow.diagnosis.stepwise import Linearisation
-from calflow.diagnosis.verdict import label
+from calflow.diagnosis.verdict import named
 from calflow.effects import Effect
 from calflow.effects.base import Cause
 from calflow.estimation.calibrated_model import Alternative, offsets
@@ -54,7 +54,7 @@ class LackingCause:
     @property
     def name(self) -> str:
         """Its id and joint."""
-        return label(self.cause.id, self.cause.joint)
+        return named(self.cause).label
 
     @property
     def root(self) -> np.ndarray:

@@ -20,7 +20,7 @@ import numpy as np
 import scipy
 
 from calflow.diagnosis.fitted import Fitted
-from calflow.diagnosis.regressors import Background, Held, Regressors
+from calflow.diagnosis.regressors import Background, Regressors, TallMatrix
 from calflow.diagnosis.screening import Screening
 from calflow.effects.base import Cause
 from calflow.estimation.least_squares import LeastSquares
@@ -200,19 +200,14 @@ def beside_background(fitted: Fitted, basis: BackgroundBasis) -> Fitted:
     best = replace(fitted, background=None, shared=alone)
     if not alone:
         return best
-    freedom = Sizes.beside(best, basis).components.total
-    cost = _cost(best, basis, freedom)
+    freedom, named = Sizes.beside(best, basis).components.total, _named_in(fitted)
+    cost = Sizes.beside(best, basis).likeliest(freedom, named)
     for shared in 1 - (1 - alone) ** (1 - np.arange(1, STEPS + 1) / STEPS):
         more = replace(best, shared=float(shared))
-        if (less := _cost(more, basis, freedom)) > cost:
+        if (less := Sizes.beside(more, basis).likeliest(freedom, named)) > cost:
             break
         best, cost = more, less
     return best
-
-
-def _cost(fitted: Fitted, basis: BackgroundBasis, freedom: float) -> float:
-    sizes = Sizes.beside(fitted, basis)
-    return sizes.evidence(sizes.accepted(_named_in(fitted)), freedom)
 
 
 def _named_in(fitted: Fitted) -> list[str]:
@@ -253,7 +248,7 @@ def components_beside(
     regressors: Regressors[Cause], modes: np.ndarray, parts: Sequence[np.ndarray], smooth: int
 ) -> tuple[Screening[Cause], VarianceComponents]:
     """Return the screening of a linearised model and the variance components beside it; the first `smooth` parts are in modes."""
-    held = Held(np.hstack([modes, *parts[smooth:]]))
+    held = TallMatrix.held(np.hstack([modes, *parts[smooth:]]))
     seen = Screening(replace(regressors, candidates=()).moving(held))
     shown = seen.information(np.arange(held.shape[1]))
     # Smooth parts are given in modes; the others, which have many columns but few poses, enter by their products as they are.
@@ -328,6 +323,10 @@ class Sizes:
             self.components.cost(np.zeros(len(variance))) - self.components.cost(variance),
             len(variance),
         )
+
+    def likeliest(self, freedom: float, without: Collection[str]) -> float:
+        """Return the evidence with the accepted variances, zero for some inputs; freedom as of `evidence`."""
+        return self.evidence(self.accepted(without), freedom)
 
     def evidence(self, variance: np.ndarray, freedom: float) -> float:
         """Return minus twice the log marginal likelihood, comparable between models of different parameters.

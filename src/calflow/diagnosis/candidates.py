@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
@@ -68,16 +68,15 @@ def candidates_table(diagnosis: Diagnosis, data: Measurements, rng: np.random.Ge
     limits = detection_limits([score for _, (_, score) in ordered], first, diagnosis.false_alarm, rng)
     rows = []
     for (place, (cost, score)), limit in zip(ordered, limits.tolist(), strict=True):
+        cause, curve = score.cause, Curve.of(score.cause, score.estimate, score.covariance)
+        estimate, sd = curve.rms_over_travel if curve else amplitude(cause, score.estimate, score.covariance)
         rows.append(
-            replace(
-                _score(score),
-                p_family=first.family.p(score),
-                delta_bic=cost,
-                probability=probability[place],
-                limit=limit,
-                tests=first.family.tests(score),
+            CandidateRow(
+                cause=cause.id, joint=cause.joint or None, statistic=score.drop, p_family=first.family.p(score),
+                delta_bic=cost, probability=probability[place], visible_share=score.visible_share, estimate=estimate, sd=sd,
+                unit=cause.declared[0].unit, limit=limit, tests=first.family.tests(score), part=cause.part, detail=cause.detail,
             )
-        )
+        )  # fmt: skip
     imitated = "not testable: these data cannot show it, the model's own parameters imitate it"
     for cause in first.hidden:
         rows.append(
@@ -103,15 +102,6 @@ def _noise(kind: type[Effect], grown: Growth | None) -> CandidateRow:
     if grown is None:
         return CandidateRow(cause=kind.id, note=f"tested on the size of what is left: it does not grow with {RANGE}")
     return CandidateRow(cause=kind.id, p_family=grown.p, estimate=grown.slope, sd=grown.sd, unit="m/m")
-
-
-def _score(score: Score) -> CandidateRow:
-    curve = Curve.of(score.cause, score.estimate, score.covariance)
-    estimate, sd = curve.rms_over_travel if curve else amplitude(score.cause, score.estimate, score.covariance)
-    return CandidateRow(
-        cause=score.cause.id, joint=score.cause.joint or None, statistic=score.drop, visible_share=score.visible_share,
-        estimate=estimate, sd=sd, unit=score.cause.declared[0].unit, part=score.cause.part, detail=score.cause.detail,
-    )  # fmt: skip
 
 
 def noncentrality(

@@ -183,7 +183,7 @@ def diagnosis_summary(diagnosis: Diagnosis, calibrated: CalibratedModel) -> Diag
         ),
         intraclass=final.intraclass,
         reduced_chi2_before=first.lack.reduced_chi2 if first.noise.known else None,
-        causes_tested=len(diagnosis.extended.first.places),
+        causes_tested=len({score.cause.place for score in diagnosis.extended.first.scores}),
         tests=diagnosis.extended.first.family.places,
         worst=diagnosis.misfit.region if diagnosis.misfit else None,
         capped=diagnosis.capped,

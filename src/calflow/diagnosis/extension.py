@@ -39,7 +39,6 @@ from calflow.diagnosis.stepwise import (
     Trial,
     is_new,
     refitted_cost,
-    same,
     second_thoughts,
     verified,
     words,
@@ -47,6 +46,7 @@ from calflow.diagnosis.stepwise import (
 from calflow.effects.base import Cause
 from calflow.estimation.fit import Fit
 from calflow.estimation.leverage import halved
+from calflow.estimation.progress import Advance, nobody
 from calflow.estimation.variance_components import size_cost
 
 FINER_STEPS = 4  # refinements at most, of one inner unknown each, of a rival before it is fitted
@@ -138,9 +138,9 @@ class FittedTrial(Trial[Cause]):
                 own_cost = next((score.cost for score in near if score.cause == now[k]), np.inf)
                 if near and near[0].cost < own_cost - CLEARLY_FINER:
                     now[k] = near[0].cause
-            if same(before, now):
+            if set(before) == set(now):
                 break
-        if not same(now, self.causes):
+        if set(now) != set(self.causes):
             yield now
 
     def weighed_in_place(self, finding: Detection[Cause]) -> Detection[Cause]:
@@ -211,7 +211,7 @@ def extend(
     acceptance: CauseAcceptance,
     rng: np.random.Generator,
     say: Callable[[str], None],
-    advance: Callable[[float], None] = lambda share: None,
+    advance: Advance = nobody,
 ) -> Extended:
     """Return the model extended by stepwise search (see `stepwise`), with independent errors.
 
@@ -329,9 +329,8 @@ def unnamed(
         without = fitted.alone.without(*fitted.own(cause))
         unevenly = uneven_causes(fitted, alone=cause)
         other, whole = Sizes.of(without, basis, fitted.problem, unevenly), Sizes.beside(fitted, basis)
-        freedom = other.components.total
-        gain = _evidence(other, freedom, same_in(cause)) - _evidence(whole, freedom, same_in(cause))
-        evidence[cause] = gain - _spent(fitted, cause, variants)
+        lost, kept = (sizes.likeliest(other.components.total, same_in(cause)) for sizes in (other, whole))
+        evidence[cause] = lost - kept - _spent(fitted, cause, variants)
     return evidence
 
 
@@ -341,10 +340,6 @@ def _spent(fitted: Fitted, cause: Cause, variants: Variants) -> float:
     columns = columns[~fitted.fit.at_bound[columns]]
     pulled = float(((fitted.fit.estimate[columns] / fitted.model.prior_sd[columns]) ** 2).sum())
     return size_cost(pulled, len(columns)) - pulled + 2 * float(np.log(variants.get(cause.place, 1)))
-
-
-def _evidence(sizes: Sizes, freedom: float, without: Collection[str]) -> float:
-    return sizes.evidence(sizes.accepted(without), freedom)
 
 
 def weighed(
@@ -361,7 +356,7 @@ def weighed(
     Causes that the background explains better, or that do not carry over, are dropped, and the search continues from the others; it
     ends where it would start from the same causes again.
     """
-    first, now, search = extension.first, extension, Stepwise(acceptance, extension.first, rng, say, lambda share: None)
+    first, now, search = extension.first, extension, Stepwise(acceptance, extension.first, rng, say, nobody)
     searched, offered = set[frozenset[Cause]](), set[frozenset[Cause]]()
     while True:
         now, n_causes = replace(now, fitted=beside_background(now.fitted, basis)), len(now.fitted.causes)
@@ -409,8 +404,8 @@ def _named_instead(
     beside = replace(fitted, background=background(fitted, basis, others))
     trial = FittedTrial(search.first.family, search.first.degrees_of_freedom, beside, catalogue)
     scores = trial.linearisation.beside.scores
-    passed = [score for score in scores if search.acceptance.accepts(score, search.first.family)]
-    return trial.finest(min(passed, key=lambda score: score.cost)).cause if passed else None
+    passed = search.acceptance.passing(scores, search.first.family)
+    return trial.finest(passed[0]).cause if passed else None
 
 
 def _weakest(fitted: Fitted, basis: BackgroundBasis, variants: Variants) -> Cause | None:
@@ -451,11 +446,11 @@ def _second_thought(best: Trial[Cause], tried: list[Trial[Cause]], search: Stepw
     """
     for _ in range(THOUGHTS):
         wanted = second_thoughts(best.findings, search.acceptance)
-        if same(best.causes, wanted):
+        if set(best.causes) == set(wanted):
             break
         if is_new(wanted, tried):
             tried.append(best.with_causes(wanted))
-        (trial,) = (trial for trial in tried if same(trial.causes, wanted))
+        (trial,) = (trial for trial in tried if set(trial.causes) == set(wanted))
         if not search.stands(trial):
             break
         best = trial

@@ -23,7 +23,7 @@ from calflow.diagnosis.noise_growth import RANGE, Growth
 from calflow.diagnosis.screening import Screening
 from calflow.diagnosis.stepwise import kindred
 from calflow.diagnosis.unexplained import POSE, UnexplainedStructure, is_any_error_along
-from calflow.diagnosis.verdict import SIZE, Rival, Verdict, found_amplitude
+from calflow.diagnosis.verdict import SIZE, Rival, Verdict, found_amplitude, named
 from calflow.effects import Effect, catalogue
 from calflow.effects.base import (
     IN_TIME,
@@ -410,9 +410,8 @@ def _together(rows: Sequence[Finding], verdicts: Sequence[Verdict]) -> Finding:
     """Return one finding for several causes of a family at one place, described by the one that explains most."""
     order = sorted(range(len(rows)), key=lambda k: verdicts[k].finding.own.cost)
     lead, causes = rows[order[0]], [verdicts[k].finding.cause for k in order]
-    family, where = causes[0].effect.family, f" of {_place(causes[0])}" if causes[0].joint else ""
-    own, *kin = (NamedCause(cause.id, cause.joint) for cause in causes)
-    others = [NamedCause(rival.id, rival.joint) for verdict in verdicts for rival in verdict.others]
+    own, *kin = map(named, causes)
+    others = [named(rival) for verdict in verdicts for rival in verdict.others]
     rivals = [*(other for other in kin if other != own), *(rival for rival in others if not own.covers(rival))]
     alike = dict.fromkeys([*(name for row in rows for name in row.cannot_tell_from), *_relatives(causes[0])])
     # A curve's root mean square and an amplitude at the rated torque are different quantities.
@@ -428,7 +427,7 @@ def _together(rows: Sequence[Finding], verdicts: Sequence[Verdict]) -> Finding:
         family_probability=max(row.family_probability for row in rows),
         cannot_tell_from=tuple(name for name in alike if name != lead.cause),
         detail=", with ".join([lead.detail or causes[0].title, *names[1:]]),
-        statement=f"{family}{where}: {', and '.join(names)}",
+        statement=f"{causes[0].effect.family}{_where(causes[0])}: {', and '.join(names)}",
         **Finding.of_rivals([*dict.fromkeys(rivals)]),
         not_tested=tuple(dict.fromkeys(name for row in rows for name in row.not_tested)),
         carries_over=False if False in carried else None if None in carried else True,
@@ -452,7 +451,7 @@ def _cause(verdict: Verdict, fitted: Fitted, left: UnexplainedStructure | None, 
         sd=sd if sd > 0 else NAN, unit=cause.declared[0].unit, p_family=verdict.finding.p, probability=verdict.of_effect,
         family_probability=verdict.of_family if cause.family else NAN,
         cannot_tell_from=tuple(others), detail=_detail(verdict),
-        **Finding.of_rivals([NamedCause(rival.id, rival.joint) for rival in verdict.others]),
+        **Finding.of_rivals([named(rival) for rival in verdict.others]),
         statement=_statement(verdict, left) + doubts, deployed=deployed,
         not_tested=tuple(dict.fromkeys(rival.id for rival in verdict.others if rival.score is None)),
         carries_over=carries_over, numbers=(number,),
@@ -467,8 +466,7 @@ def _detail(verdict: Verdict) -> str:
 
 
 def _statement(verdict: Verdict, left: UnexplainedStructure | None) -> str:
-    cause = verdict.finding.cause
-    where = f" of {_place(cause)}" if cause.joint else ""
+    cause, where = verdict.finding.cause, _where(verdict.finding.cause)
     detail = f" ({_detail(verdict)})" if _detail(verdict) else ""
     if left and is_any_error_along(cause, left.inputs):
         return f"{cause.effect.family}{where}: form not resolved, more is left than {cause.title}{detail} explains"
@@ -483,12 +481,11 @@ def _statement(verdict: Verdict, left: UnexplainedStructure | None) -> str:
 
 def _told(rival: Rival) -> str:
     """Return the name of a rival, with what a test would take if it could not be tested."""
-    name = cause_name(rival.id, rival.joint)
-    return f"{name} (not tested: needs {rival.needs})" if rival.needs else name
+    return f"{named(rival).name} (not tested: needs {rival.needs})" if rival.needs else named(rival).name
 
 
-def _place(cause: Cause) -> str:
-    return f"{cause.effect.place_word} {cause.joint}" if cause.joint else ""
+def _where(cause: Cause) -> str:
+    return f" of {cause.effect.place_word} {cause.joint}" if cause.joint else ""
 
 
 def _overlapping(cause: Cause, model: Model, left: tuple[UnexplainedStructure, ...]) -> UnexplainedStructure | None:
@@ -530,7 +527,7 @@ def _misfit(misfit: Misfit, left: tuple[UnexplainedStructure, ...]) -> Finding:
 
 def _left(structure: UnexplainedStructure) -> Finding:
     inputs, detail = " and ".join(structure.inputs), structure.detail
-    rivals = list(dict.fromkeys(NamedCause(cause.id, cause.joint) for cause in structure.suspects))
+    rivals = list(dict.fromkeys(map(named, structure.suspects)))
     may_be = f" (it may be {', or '.join(rival.name for rival in rivals)})" if rivals else ""
     statement = f"depends on {inputs}{f' ({detail})' if detail else ''}; no cause of the catalogue explains it for certain{may_be}"
     if structure.inputs == (POSE,):

@@ -205,17 +205,15 @@ class Fitted:
         It starts from the present estimates, new causes at zero, or from start. share is the expected reduction of chi² as a
         share: an unknown noise starts smaller accordingly, and settles at once.
         """
-        if (before := self.visited.get(frozenset(causes))) is None:
-            before = self.visited[frozenset(causes)] = self._with_causes(causes, start, share)
-        return replace(before, background=self.background, shared=self.shared, visited=self.visited)
-
-    def _with_causes(self, causes: Sequence[Cause], start: np.ndarray | None, share: float) -> Fitted:
-        model = replace(self.model, effects=(*self.plain, *causes))
-        start = self.model.handed_on(self.fit.estimate, model) if start is None else start
-        bare = replace(self.device, discrepancy=PerUnit())
-        near = self.noise.sigma / self.outlier_factor * np.sqrt(1 - share)
-        bare = replace(bare, sigma=np.where(bare.estimated, near, bare.sigma))
-        return _settled(model, self.data, bare, start, self.fit.loss, self.outlier_factor)
+        held = frozenset(causes)
+        if held not in self.visited:
+            model = replace(self.model, effects=(*self.plain, *causes))
+            start = self.model.handed_on(self.fit.estimate, model) if start is None else start
+            near = self.noise.sigma / self.outlier_factor * np.sqrt(1 - share)
+            sigma = np.where(self.device.estimated, near, self.device.sigma)
+            bare = replace(self.device, discrepancy=PerUnit(), sigma=sigma)
+            self.visited[held] = _settled(model, self.data, bare, start, self.fit.loss, self.outlier_factor)
+        return replace(self.visited[held], background=self.background, shared=self.shared, visited=self.visited)
 
 
 def _settled(

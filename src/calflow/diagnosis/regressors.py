@@ -11,7 +11,7 @@ regressors are whitened by (V/s²)^-1/2 (generalised least squares: Aitken 1936)
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 from typing import Generic, Protocol, Self, TypeVar
@@ -153,17 +153,35 @@ class Background:
 Rows = slice | np.ndarray
 
 
+@dataclass(frozen=True, eq=False)
 class TallMatrix:
-    """A matrix (n, n_columns) that is read a block of rows at a time."""
+    """A matrix of a shape (n, n_columns) that is read in blocks: indices of some rows and these rows, each row once."""
 
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Number of rows and columns."""
-        raise NotImplementedError
+    shape: tuple[int, int]
+    blocks: Callable[[], Iterable[tuple[Rows, np.ndarray]]]
 
-    def blocks(self) -> Iterator[tuple[Rows, np.ndarray]]:
-        """Yield the indices of a block of rows, and these rows; each row once."""
-        raise NotImplementedError
+    @staticmethod
+    def held(values: np.ndarray) -> TallMatrix:
+        """Return a matrix that is held in memory, values (n, n_columns), as a single block."""
+        return TallMatrix((len(values), values.shape[1]), lambda: [(slice(None), values)])
+
+    @staticmethod
+    def remade(probe: Probe, correlation: ErrorCorrelation | None) -> TallMatrix:
+        """Return the regressors of a probe's effects, recomputed in each pass, some hundred rows at a time.
+
+        They are decorrelated within standstills, and whitened by the correlation of errors between nearby rows.
+        """
+
+        def unwhitened() -> Iterator[tuple[slice, np.ndarray]]:
+            for rows, _, slopes in probe.parts():
+                yield rows, slopes[:, probe.n_parameters :]
+
+        shape = probe.shape[0], probe.width
+        if correlation is None:
+            return TallMatrix(shape, unwhitened)
+        modes = correlation.modes
+        taken = correlation.taken(reduce(np.add, (modes[rows].T @ x for rows, x in unwhitened())))
+        return TallMatrix(shape, lambda: ((rows, x - modes[rows] @ taken) for rows, x in unwhitened()))
 
     def products(self, columns: np.ndarray) -> np.ndarray:
         """Return the Gram matrix of some columns, (n_own, n_own)."""
@@ -180,57 +198,6 @@ class TallMatrix:
         for rows, x in self.blocks():
             product[rows] = x @ amplitudes
         return product
-
-
-@dataclass(frozen=True, eq=False)
-class Held(TallMatrix):
-    """A tall matrix held in memory, values (n, n_columns)."""
-
-    values: np.ndarray
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Number of rows and columns."""
-        return self.values.shape[0], self.values.shape[1]
-
-    def blocks(self) -> Iterator[tuple[Rows, np.ndarray]]:
-        """Yield all rows at once."""
-        yield slice(None), self.values
-
-
-@dataclass(frozen=True, eq=False)
-class Remade(TallMatrix):
-    """The regressors of a probe's effects, recomputed in each pass, block by block.
-
-    correlation is that of errors between nearby rows, beside the correlation within standstills: see `Regressors.of`.
-    """
-
-    probe: Probe
-    correlation: ErrorCorrelation | None
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Number of rows and columns."""
-        return self.probe.shape[0], self.probe.width
-
-    def blocks(self) -> Iterator[tuple[Rows, np.ndarray]]:
-        """Yield some hundred rows at a time."""
-        for rows, x in self._unwhitened():
-            if self.correlation is not None:
-                x -= self.correlation.modes[rows] @ self._taken
-            yield rows, x
-
-    @cached_property
-    def _taken(self) -> np.ndarray:
-        """What whitening by the correlation subtracts along its modes, (n_modes, n_columns)."""
-        assert self.correlation is not None
-        modes = self.correlation.modes
-        return self.correlation.taken(reduce(np.add, (modes[rows].T @ x for rows, x in self._unwhitened())))
-
-    def _unwhitened(self) -> Iterator[tuple[slice, np.ndarray]]:
-        """Yield rows decorrelated within standstills, but not whitened by the correlation."""
-        for rows, _, slopes in self.probe.parts():
-            yield rows, slopes[:, self.probe.n_parameters :]
 
 
 @dataclass(frozen=True)
@@ -326,13 +293,17 @@ class Regressors(Generic[H]):
 
     def with_amplitudes(self, correlation: ErrorCorrelation) -> Regressors[H]:
         """Return the independent residuals with a background's amplitudes as further parameters, of their normal prior."""
-        functions = correlation.modes * np.sqrt(correlation.variance)
-        more = functions.shape[1]
+        return self._with_parameters(
+            correlation.modes * np.sqrt(correlation.variance), np.ones(len(correlation.variance))
+        )
+
+    def _with_parameters(self, columns: np.ndarray, precision: np.ndarray) -> Regressors[H]:
+        """Return the model with further free parameters, still at zero, by their columns (n, n_more) and priors (n_more,)."""
         return replace(
             self,
-            jacobian=np.hstack([self.jacobian, functions]),
-            precision=np.append(self.precision, np.ones(more)),
-            pull=np.append(self.pull, np.zeros(more)),
+            jacobian=np.hstack([self.jacobian, columns]),
+            precision=np.append(self.precision, precision),
+            pull=np.append(self.pull, np.zeros(len(precision))),
             added_up=None,
         )
 
@@ -366,7 +337,7 @@ class Regressors(Generic[H]):
         scale = max(1.0, problem.scatter / USUAL)
         rows = np.arange(problem.n_rows) if poses is None else poses
         residuals_a_pose = np.bincount(rows[problem.stacking.row])
-        matrix = Remade(tall.compiled(PASSES), correlation) if tall else Held(slopes[:, n:])
+        matrix = TallMatrix.remade(tall.compiled(PASSES), correlation) if tall else TallMatrix.held(slopes[:, n:])
         return Regressors(
             left,
             slopes[:, free],
@@ -404,7 +375,10 @@ class Regressors(Generic[H]):
         alone = replace(self, candidates=(), added_up=None)
         return [
             replace(
-                alone, residual=self.residual[own], jacobian=self.jacobian[own], matrix=Held(np.empty((len(own), 0)))
+                alone,
+                residual=self.residual[own],
+                jacobian=self.jacobian[own],
+                matrix=TallMatrix.held(np.empty((len(own), 0))),
             )
             for own in rows
         ]
@@ -417,13 +391,7 @@ class Regressors(Generic[H]):
         """Return the regressors of the model with some columns as additional free parameters, still at zero."""
         taken = np.zeros((self.matrix.shape[1], len(columns)))
         taken[columns, np.arange(len(columns))] = 1.0
-        return replace(
-            self,
-            jacobian=np.hstack([self.jacobian, self.matrix.times(taken)]),
-            precision=np.append(self.precision, self.prior_sd[columns] ** -2.0),
-            pull=np.append(self.pull, np.zeros(len(columns))),
-            added_up=None,
-        )
+        return self._with_parameters(self.matrix.times(taken), self.prior_sd[columns] ** -2.0)
 
 
 def candidates_of(effects: Sequence[Effect]) -> tuple[Candidate[Cause], ...]:
@@ -431,11 +399,9 @@ def candidates_of(effects: Sequence[Effect]) -> tuple[Candidate[Cause], ...]:
     candidates, start = [], 0
     for effect in effects:
         if isinstance(effect, Cause):
-            size = len(effect.declared)
-            candidates.append(Candidate(effect, start + np.arange(size)))
-            start += size
-            continue
-        for part, columns in parts(effect).items():
-            candidates.append(Candidate(Cause(effect.robot, effect, part), start + columns))
+            candidates.append(Candidate(effect, start + np.arange(len(effect.declared))))
+        else:
+            for part, columns in parts(effect).items():
+                candidates.append(Candidate(Cause(effect.robot, effect, part), start + columns))
         start += len(effect.declared)
     return tuple(candidates)

@@ -93,18 +93,17 @@ def confirm(calibrated: Fitted, other: Measurements) -> Confirmation:
     train = other.only(other.train)
     causes = [cause for cause in calibrated.causes if _is_curve(cause)]
     plain = tuple(replace(effect, robot=robot) for effect in calibrated.plain)
-    matching = [matched for cause in causes if (matched := _matched(cause, train)) is not None]
+    matching = {cause: matched for cause in causes if (matched := _matched(cause, train)) is not None}
     noise = measured_noise(other, nominal=Model(robot, (), other.given, observed)).only(other.train)
 
     def fitted(effects: Sequence[Effect]) -> Fit:
         model = Model(robot, tuple(effects), other.given, observed)
         return fit_reweighted(model, train, noise, model.prior_mean[None], calibrated.fit.loss)[0]
 
-    alone, without = fitted((*plain, *matching)), fitted(plain)
+    alone, without = fitted((*plain, *matching.values())), fitted(plain)
     rows, curves = [], []
     for cause in causes:
-        matched = next((candidate for candidate in matching if candidate.place == cause.place), None)
-        row, curve = _compared(cause, calibrated, matched, alone, train)
+        row, curve = _compared(cause, calibrated, matching.get(cause), alone, train)
         rows.append(row)
         curves += [curve] if curve is not None else []
     table = to_frame(rows, ConfirmedCause)
@@ -160,12 +159,11 @@ def _compared(
     unit, factor = data.robot.joints[i].shown
     error = "urad" if unit == "deg" else "um"
     low, high = max(here.min(), there.min()), min(here.max(), there.max())
-    travel = max(np.ptp(here), 1e-9)
     common = max(high - low, 0.0)
+    share = float(common / max(np.ptp(here), 1e-9))
 
     def told(words: str, **figures: float) -> ConfirmedCause:
         shown = {f"common_{unit}": factor * float(common), **figures}
-        share = float(common / travel)
         return ConfirmedCause(cause=cause.id, joint=cause.joint, share_of_travel=share, words=words, **shown)
 
     if matched is None or high <= low:
@@ -178,7 +176,6 @@ def _compared(
     whole = [curve(c, v, angle) for c, v in ((cause, amplitudes), (matched, other))]
     first, second = (_beyond_first_order(values, angle) for values in whole)
     correlation = float(np.corrcoef(first, second)[0, 1])
-    share = float((high - low) / travel)
     if correlation >= AGREE:
         words = "the independent series shows the same curve"
     elif share < WIDE:

@@ -108,11 +108,6 @@ class Screened(Generic[H]):
     hidden: tuple[H, ...]
     degrees_of_freedom: float
 
-    @property
-    def places(self) -> set[tuple[str, str]]:
-        """The places that were tested."""
-        return {score.cause.place for score in self.scores}
-
 
 @dataclass(frozen=True)
 class Linearisation(Generic[H]):
@@ -175,6 +170,10 @@ class Linearisation(Generic[H]):
         gone = [cause for cause in self.causes if cause not in causes]
         return self.rise(gone) + sum(self._cost(gone, cause) for cause in causes if cause not in self.causes)
 
+    def findings(self, family: Family) -> list[Detection[H]]:
+        """Return the causes with the scores of all candidates in each one's place."""
+        return [Detection(cause, tuple(self.apart([cause]).scores), family) for cause in self.causes]
+
     def _cost(self, gone: Sequence[H], cause: H) -> float:
         """Return the cost of a cause with others removed; zero where it is not testable."""
         apart = self.apart(gone)
@@ -182,10 +181,6 @@ class Linearisation(Generic[H]):
         scores = Screening(apart.regressors.only(there)).scores
         own = [score.cost for score in scores if score.cause == cause]
         return min(own or (score.cost for score in scores), default=0.0)
-
-    def findings(self, family: Family) -> list[Detection[H]]:
-        """Return the causes with the scores of all candidates in each one's place."""
-        return [Detection(cause, tuple(self.apart([cause]).scores), family) for cause in self.causes]
 
 
 def _besides(candidates: Sequence[Candidate[H]], causes: Sequence[H]) -> tuple[Candidate[H], ...]:
@@ -305,14 +300,9 @@ def forget_all_but(best: Trial, tried: Sequence[Trial]) -> None:
             trial.forget()
 
 
-def same(causes: Sequence[H], others: Sequence[H]) -> bool:
-    """Whether two sequences have the same causes, in any order."""
-    return len(causes) == len(others) and all(cause in others for cause in causes)
-
-
 def is_new(causes: Sequence[Any], tried: Sequence[Trial]) -> bool:
     """Whether no trial had these causes."""
-    return not any(same(causes, trial.causes) for trial in tried)
+    return all(set(causes) != set(trial.causes) for trial in tried)
 
 
 def is_worth_trying(causes: Sequence[Any], tried: Sequence[Trial]) -> bool:
@@ -343,10 +333,13 @@ class CauseAcceptance:
         """Whether a candidate has favourable evidence, explains a material share of chi², and is significant."""
         return score.cost < 0 and score.share > family.material and family.p(score) < self.false_alarm
 
+    def passing(self, scores: Sequence[Score[H]], family: Family) -> list[Score[H]]:
+        """Return the scores of accepted candidates, in their order."""
+        return [score for score in scores if self.accepts(score, family)]
+
     def keeps(self, finding: Detection) -> bool:
         """Whether a cause of the model would be accepted again."""
-        scores = [score for score in finding.scores if score.cause == finding.cause]
-        return bool(scores) and self.accepts(scores[0], finding.family)
+        return any(score.cause == finding.cause and self.accepts(score, finding.family) for score in finding.scores)
 
 
 Kin = tuple[str, int]  # a family and the joint (0 for none) where its members act
@@ -603,7 +596,7 @@ class Stepwise(Generic[H]):
         models fitted are appended to tried.
         """
         begin, now = len(tried) - 1, tried[-1]
-        while step := self._next(now, tried):
+        while step := next(_untried(self._steps(now), tried), None):
             self.say(step.words)
             tried.append(_moved(now, step))
             if tried[-1].cost < now.cost + BETTER or len(step.causes) < len(now.causes):
@@ -617,12 +610,6 @@ class Stepwise(Generic[H]):
         forget_all_but(best, tried)
         return best
 
-    def _next(self, now: Trial[H], tried: Sequence[Trial[H]]) -> Proposal[H] | None:
-        """Return the next step from a trial; None where there is none left, or MOST_TRIALS is reached."""
-        if len(tried) >= MOST_TRIALS:
-            return None
-        return next((step for step in self._steps(now) if is_worth_trying(step.causes, tried)), None)
-
     def improved(self, best: Trial[H], tried: list[Trial[H]]) -> Trial[H] | None:
         """Return a better model reached by a merger, an exchange, or a rival of a large cause, if there is one."""
         others = _within_reach(best, doubted(best))
@@ -635,11 +622,7 @@ class Stepwise(Generic[H]):
         self, best: Trial[H], tried: list[Trial[H]], steps: Iterable[Proposal[H]], promising: Callable[[Trial[H]], bool]
     ) -> Trial[H] | None:
         """Return the first better model reached from one of the steps; a promising trial need not be better at once."""
-        for step in steps:
-            if len(tried) >= MOST_TRIALS:
-                return None
-            if not is_worth_trying(step.causes, tried):
-                continue
+        for step in _untried(steps, tried):
             tried.append(_moved(best, step))
             if _cost_apart(tried[-1]) < _cost_apart(best) or promising(tried[-1]):
                 self.say(step.words)
@@ -668,27 +651,31 @@ class Stepwise(Generic[H]):
     def _steps(self, trial: Trial[H]) -> Iterator[Proposal[H]]:
         yield from (_replaced(trial, causes) for causes in trial.refined())
         if len(trial.causes) < self.acceptance.most:
-            yield from _added(trial, self.first, self.acceptance, self.rng)
+            yield from self._added(trial)
         yield _replaced(trial, second_thoughts(trial.findings, self.acceptance))
 
+    def _added(self, trial: Trial[H]) -> Iterator[Proposal[H]]:
+        """Yield the causes with the best accepted candidate added, if there is one."""
+        now = trial.linearisation.screened(self.rng, self.first.family) if trial.causes else self.first
+        passed = self.acceptance.passing(now.scores, now.family)
+        doubtful = not (passed and now.family.p(passed[0]) < CLEAR * self.acceptance.false_alarm)
+        # Without correction for the number of tests: a candidate that fails here fails with it, too.
+        single = replace(now.family, scans={}, places=1.0)
+        if trial.causes and doubtful and self.acceptance.passing(now.scores, single):
+            now = trial.linearisation.screened(self.rng)  # with the correction for this model's residual
+            passed = self.acceptance.passing(now.scores, now.family)
+        if passed:
+            best = trial.finest(passed[0])
+            message = f"{words(best.cause)}: chi2 falls by {best.drop:.4g}, p = {now.family.p(best):.2g}"
+            yield Proposal([*trial.causes, best.cause], message, best, best.cost)
 
-def _added(
-    trial: Trial[H], first: Screened[H], acceptance: CauseAcceptance, rng: np.random.Generator
-) -> Iterator[Proposal[H]]:
-    """Yield the causes with the best accepted candidate added, if there is one."""
-    now = trial.linearisation.screened(rng, first.family) if trial.causes else first
-    passed = [score for score in now.scores if acceptance.accepts(score, now.family)]
-    doubtful = not (passed and now.family.p(passed[0]) < CLEAR * acceptance.false_alarm)
-    # Without correction for the number of tests: a candidate that fails here fails with it, too.
-    single = replace(now.family, scans={}, places=1.0)
-    if trial.causes and doubtful and any(acceptance.accepts(score, single) for score in now.scores):
-        now = trial.linearisation.screened(rng)  # with the correction for this model's residual
-        passed = [score for score in now.scores if acceptance.accepts(score, now.family)]
-    if not passed:
-        return
-    best = trial.finest(min(passed, key=lambda score: score.cost))
-    message = f"{words(best.cause)}: chi2 falls by {best.drop:.4g}, p = {now.family.p(best):.2g}"
-    yield Proposal([*trial.causes, best.cause], message, best, best.cost)
+
+def _untried(steps: Iterable[Proposal[H]], tried: Sequence[Trial[H]]) -> Iterator[Proposal[H]]:
+    """Yield the steps that are worth trying, until MOST_TRIALS is reached."""
+    steps = iter(steps)
+    while len(tried) < MOST_TRIALS and (step := next(steps, None)):
+        if is_worth_trying(step.causes, tried):
+            yield step
 
 
 def _replaced(trial: Trial[H], causes: list[H], expected: float | None = None) -> Proposal[H]:

@@ -23,7 +23,7 @@ import scipy
 
 from calflow.diagnosis.extension import Extended
 from calflow.diagnosis.fitted import Fitted
-from calflow.diagnosis.regressors import H
+from calflow.diagnosis.regressors import H, Hypothesis
 from calflow.diagnosis.screening import Catalogue, Score
 from calflow.diagnosis.stepwise import REACH, WITHIN, Detection
 from calflow.effects.base import UNEXPLAINED, Cause, NamedCause
@@ -75,8 +75,8 @@ class Verdict(Generic[H]):
     @property
     def others(self) -> tuple[Rival[H], ...]:
         """The rivals except its own effect at other parts of the same joint: a tool and a marker on it may both sag."""
-        own = (self.finding.cause.id, self.finding.cause.joint)
-        return tuple(rival for rival in self.rivals if (rival.id, rival.joint) != own)
+        own = named(self.finding.cause)
+        return tuple(rival for rival in self.rivals if named(rival) != own)
 
     @property
     def of_effect(self) -> float:
@@ -89,11 +89,10 @@ class Verdict(Generic[H]):
         return self._of_all(NamedCause.covers)
 
     def _of_all(self, alike: Callable[[NamedCause, NamedCause], bool]) -> float:
-        cause, places = self.finding.cause, self.finding.places.values()
-        costs = [(best.cause.id, best.cause.joint, cost - self.finding.cost) for cost, best in places]
-        costs += [(rival.id, rival.joint, rival.cost) for rival in self.rivals if rival.score is None]
-        own = NamedCause(cause.id, cause.joint)
-        summed = [cost for other, joint, cost in costs if alike(own, NamedCause(other, joint))]
+        own = named(self.finding.cause)
+        costs = [(named(best.cause), cost - self.finding.cost) for cost, best in self.finding.places.values()]
+        costs += [(named(rival), rival.cost) for rival in self.rivals if rival.score is None]
+        summed = [cost for other, cost in costs if alike(own, other)]
         return self.probability * float(np.exp(-np.array(summed) / 2).sum())
 
     @property
@@ -139,9 +138,9 @@ def _log_odds_of_nothing(finding: Detection) -> float:
     return float(np.logaddexp(nothing, -max(TEMPERED * finding.unnamed, 0.0) / 2))
 
 
-def label(cause: str, joint: int) -> str:
-    """Return the name of a cause with its joint, if it has one."""
-    return NamedCause(cause, joint).label
+def named(cause: Hypothesis | Rival) -> NamedCause:
+    """Return the id of a cause, or of a rival, with its joint."""
+    return NamedCause(cause.id, cause.joint)
 
 
 def fitted_alternatives(
