@@ -21,17 +21,16 @@ from calflow.diagnosis.screening import Family, Score
 from calflow.diagnosis.serial_errors import LikelyErrors, RestrictedLikelihood, RowOrder
 from calflow.diagnosis.stepwise import (
     SPLIT,
-    Amplitudes,
     CauseAcceptance,
     Detection,
     Linearisation,
     Screened,
     Stepwise,
     Trial,
-    refitted_cost,
     verified,
 )
 from calflow.diagnosis.verdict import verdict
+from calflow.estimation.variance_components import Amplitudes, refitted_cost
 from calflow.files.problems import Problem, refuse_any
 from calflow.files.toml import Count, FalseAlarm, checked_arguments
 

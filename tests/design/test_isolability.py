@@ -38,7 +38,10 @@ def planned(tmp_path_factory):
     plan = MeasuringPlan(robot, readings, ("light",) * POSES, ("tool",))
     device = Planned(Position.planned(Series()), 5e-5)
     more = dict(plan.additions(readings[:0]))
-    return [isolability(EFFECTS, device, one, np.random.default_rng(2), draws=60) for one in (plan, more[RECORDED])]
+    return [
+        isolability(EFFECTS, device, one.measurements().split(0.0, 1), np.random.default_rng(2), draws=60)
+        for one in (plan, more[RECORDED])
+    ]
 
 
 def test_causes_known_to_be_alike_are_not_told_apart(planned):

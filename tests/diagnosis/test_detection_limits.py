@@ -44,7 +44,7 @@ def test_a_cause_at_its_detection_limit_is_found_95_times_in_100(name: str, rows
     cause, family, draws = Cause(ROBOT, catalogue()[effect](ROBOT, **variant), part), Family({}, 30.0), 400
     problem, rng = regressors(cause, rows), np.random.default_rng(3)
     at_rest = Screening(replace(problem, residual=rng.standard_normal(rows)))
-    screened = Screened(tuple(at_rest.scores), family, (), at_rest.degrees_of_freedom)
+    screened = Screened(tuple(at_rest.scores), family, at_rest.degrees_of_freedom)
     (limit,) = detection_limits(screened.scores, screened, ACCEPTANCE.false_alarm, rng)
     found = 0
     for _ in range(draws):

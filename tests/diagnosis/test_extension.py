@@ -12,9 +12,10 @@ from calflow.diagnosis import fitted as fitted_module
 from calflow.diagnosis.background import BackgroundBasis
 from calflow.diagnosis.extension import FittedTrial, extend, weighed, weighed_against
 from calflow.diagnosis.screening import Catalogue
-from calflow.diagnosis.stepwise import CauseAcceptance, Linearisation, second_thoughts
+from calflow.diagnosis.stepwise import CauseAcceptance, Linearisation, Stepwise, second_thoughts
 from calflow.estimation.fit import fit_reweighted
 from calflow.estimation.noise import Noise
+from calflow.estimation.progress import nobody
 from calflow.model import Model
 from diagnosis.found import cause, hidden, start
 from diagnosis.test_unexplained import fitted
@@ -175,7 +176,13 @@ def test_a_search_begins_once_from_each_set_of_causes(monkeypatch, data, found):
     monkeypatch.setattr(extension_module, "_searched", lambda _, beside, *more: searches.append(beside.causes) or again)
     catalogue_ = Catalogue.of(data, ("geometry",), TESTED)
     basis = BackgroundBasis.of(start(data))
-    ended = weighed(start(data), extended, basis, catalogue_, GATE, np.random.default_rng(1), lambda _: None)
+    ended = weighed(
+        start(data),
+        extended.fitted,
+        basis,
+        catalogue_,
+        Stepwise(GATE, extended.first, np.random.default_rng(1), nobody, nobody),
+    )
     assert searches == [()]
     assert ended.fitted.causes == ended.findings == ()
 
@@ -195,7 +202,9 @@ def test_a_device_that_was_set_up_anew_does_not_give_way_to_an_error_in_time():
     tested = Catalogue.of(begun.data, ("geometry",), ("gear-ratio-error", "session-frame"))
     extended = extend(begun, tested, GATE, np.random.default_rng(1), lambda _: None)
     basis = BackgroundBasis.of(begun)
-    ended = weighed(begun, extended, basis, tested, GATE, np.random.default_rng(1), lambda _: None)
+    ended = weighed(
+        begun, extended.fitted, basis, tested, Stepwise(GATE, extended.first, np.random.default_rng(1), nobody, nobody)
+    )
     assert extended.fitted.causes == ()
     assert [found.id for found in ended.fitted.causes] == ["session-frame"]
 
@@ -209,7 +218,8 @@ def test_a_device_that_was_set_up_anew_is_no_cause_too_many():
     )
     extended = extend(begun, tested, none, np.random.default_rng(1), lambda _: None)
     basis = BackgroundBasis.of(begun)
-    ended = weighed(begun, extended, basis, tested, none, np.random.default_rng(1), lambda _: None)
+    search = Stepwise(none, extended.first, np.random.default_rng(1), nobody, nobody)
+    ended = weighed(begun, extended.fitted, basis, tested, search)
     assert ended.fitted.causes == ended.findings == ()
 
 

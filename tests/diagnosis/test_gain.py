@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calflow.diagnosis.findings import gain
+from calflow.estimation.accuracy import gain
 from calflow.measurements.measurements import Measurements
 from robots import industrial
 

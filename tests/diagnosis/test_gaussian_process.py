@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calflow.diagnosis.findings import predicted
+from calflow.diagnosis.unexplained import predicted
 from calflow.effects.base import Cause
 from calflow.estimation.accuracy import errors
 from calflow.estimation.smooth_functions import Shift

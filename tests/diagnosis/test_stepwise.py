@@ -61,7 +61,7 @@ def form(name: str, step: int) -> Block:
 def search(path: Path) -> tuple[Wandering, int, list[str]]:
     """Return the best model of a search along a path, how many were tried, and what was said."""
     said: list[str] = []
-    nothing = Screened((), FAMILY, (), LEFT)
+    nothing = Screened((), FAMILY, LEFT)
     stepwise = Stepwise(CauseAcceptance(0.01, 0), nothing, np.random.default_rng(1), said.append, lambda _: None)
     best, tried = stepwise.best(Wandering(FAMILY, LEFT, path))
     return best, len(tried), said

@@ -52,7 +52,7 @@ def test_a_limit_is_of_the_size_that_findings_state(full: Measurements, name: st
     for effect in [] if catalogue()[name].is_noise() else dict.fromkeys((variants[0], variants[-1])):
         cause = Cause(full.robot, effect, list(parts(effect))[-1])
         score = scored(cause, rng)
-        screened = Screened((score,), FAMILY, (), LEFT + score.shown)
+        screened = Screened((score,), FAMILY, LEFT + score.shown)
         (limit,) = detection_limits([score], screened, ALARM, np.random.default_rng(6))
         values = drawn(cause, limit, rng, DRAWS)
         seen = np.minimum(np.einsum("ni,ij,nj->n", values, score.information, values), 1e5)

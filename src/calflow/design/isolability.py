@@ -21,7 +21,7 @@ from calflow.design.planned import Planned, Record
 from calflow.diagnosis import FALSE_ALARM
 from calflow.diagnosis.regressors import Candidate, H, Regressors, TallMatrix, candidates_of
 from calflow.diagnosis.screening import Catalogue, Family, Screening
-from calflow.diagnosis.stepwise import SHARES, WITHIN
+from calflow.diagnosis.stepwise import SHARES, WITHIN, Place
 from calflow.effects import Effect, effect_class
 from calflow.effects.base import Cause, NamedCause
 from calflow.estimation.probing import probed
@@ -96,9 +96,6 @@ class MeasuringPlan:
             longer = replace(self, readings=np.vstack([self.readings, more]), payloads=payloads)
             vias = None if self.vias is None else np.vstack([self.vias, more])
             yield f"{len(more)} further poses", replace(longer, vias=vias)
-
-
-Place = tuple[str, str]  # effect and part
 
 
 @dataclass(frozen=True)
@@ -230,13 +227,11 @@ class Isolability:
 def isolability(
     effects: Sequence[str],
     planned: Planned,
-    plan: MeasuringPlan,
+    data: Measurements,
     rng: np.random.Generator,
     *,
     size: float = 1.0,
     false_alarm: float = FALSE_ALARM,
-    holdout: float = 0.0,
-    seed: int = 1,
     draws: int = DRAWS_PER_CAUSE,
 ) -> Isolability:
     """Return the isolability of causes by a plan, besides effects that are fitted.
@@ -244,15 +239,13 @@ def isolability(
     Args:
         effects: ids of the effects fitted anyway.
         planned: how each pose will be measured.
-        plan: the poses, payloads, markers and records.
+        data: the plan's rows, of which some are held out.
         rng: random numbers for causes and noise.
         size: root mean square of each cause's parameters, in prior standard deviations.
         false_alarm: probability that diagnose finds anything without a hidden cause.
-        holdout: share of the poses held out by the study.
-        seed: of the study, for the held-out poses.
         draws: number of simulated measurements per cause.
     """
-    screening, catalogue = screened(effects, planned, plan.measurements().split(holdout, seed), rng)
+    screening, catalogue = screened(effects, planned, data, rng)
     seen, told_apart = chances(
         screening, screening.family(rng), SHARES["causes"] * false_alarm, rng, size=size, draws=draws
     )

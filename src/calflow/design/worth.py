@@ -7,6 +7,7 @@ choice, and the gain by ten more.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -218,8 +219,6 @@ def poses_for_tolerance(
         if high == most:
             return None, None
         low, high = high, min(2 * high, most)
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (low, middle) if possible(middle) else (middle, high)
+    high = bisect_left(range(high), True, lo=low + 1, key=possible)
     chosen = (n for n in range(high, most + 1) if search_poses(jacobians, prior, n, tool, rng).loss <= tolerance)
     return next(chosen, None), high

@@ -11,6 +11,7 @@ import scipy
 
 from calflow.diagnosis.diagnosis import Diagnosis
 from calflow.diagnosis.noise_growth import RANGE, Growth
+from calflow.diagnosis.regressors import candidates_of
 from calflow.diagnosis.screening import Score, by_place, f_threshold, place_probabilities
 from calflow.diagnosis.stepwise import Screened
 from calflow.diagnosis.verdict import SIZE, amplitude
@@ -78,11 +79,12 @@ def candidates_table(diagnosis: Diagnosis, data: Measurements, rng: np.random.Ge
             )
         )  # fmt: skip
     imitated = "not testable: these data cannot show it, the model's own parameters imitate it"
-    for cause in first.hidden:
-        rows.append(
-            CandidateRow(cause=cause.id, joint=cause.joint or None, part=cause.part, note=imitated, imitated=True)
-        )
     wanted = diagnosis.catalogue
+    every = {candidate.cause.place: candidate.cause for candidate in candidates_of(wanted.effects)}
+    rows += [
+        CandidateRow(cause=cause.id, joint=cause.joint or None, part=cause.part, note=imitated, imitated=True)
+        for place, cause in every.items() if place not in places
+    ]  # fmt: skip
     untested = {**wanted.lacking, **wanted.superseded}
     rows += [
         _noise(kind, diagnosis.growth) for name, kind in catalogue().items() if kind.is_noise() and name not in untested

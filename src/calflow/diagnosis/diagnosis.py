@@ -19,7 +19,7 @@ from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.misfit import Misfit, MisfitRegion, misfit
 from calflow.diagnosis.noise_growth import Growth, growth_of_repeats, growth_of_residuals
 from calflow.diagnosis.screening import Catalogue
-from calflow.diagnosis.stepwise import SHARES, CauseAcceptance, Linearisation, words
+from calflow.diagnosis.stepwise import SHARES, CauseAcceptance, Linearisation, Stepwise, words
 from calflow.diagnosis.unexplained import Standstills, UnexplainedStructure, suspected, unexplained
 from calflow.diagnosis.verdict import (
     DeployedCauses,
@@ -242,7 +242,8 @@ def search_causes(
         start, wanted, acceptance, rng("bootstrap"), say, lambda share: advance(BEGUN + share * (SEARCHED - BEGUN))
     )
     basis = BackgroundBasis.of(start)
-    extended = weighed(start, extended, basis, wanted, acceptance, rng("background"), say)
+    search = Stepwise(acceptance, extended.first, rng("background"), say, nobody)
+    extended = weighed(start, extended.fitted, basis, wanted, search)
     advance(SEARCHED)
     standstills = Standstills.of(extended.fitted, basis)
     growth = None if grown else growth_of_residuals(extended.fitted)

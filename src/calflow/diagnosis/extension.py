@@ -30,7 +30,6 @@ from calflow.diagnosis.screening import Catalogue, Score, Screening
 from calflow.diagnosis.stepwise import (
     REACH,
     SPLIT,
-    Amplitudes,
     CauseAcceptance,
     Detection,
     Linearisation,
@@ -38,7 +37,6 @@ from calflow.diagnosis.stepwise import (
     Stepwise,
     Trial,
     is_new,
-    refitted_cost,
     second_thoughts,
     verified,
     words,
@@ -47,7 +45,7 @@ from calflow.effects.base import Cause
 from calflow.estimation.fit import Fit
 from calflow.estimation.leverage import halved
 from calflow.estimation.progress import Advance, nobody
-from calflow.estimation.variance_components import size_cost
+from calflow.estimation.variance_components import Amplitudes, refitted_cost, size_cost
 
 FINER_STEPS = 4  # refinements at most, of one inner unknown each, of a rival before it is fitted
 CLEARLY_FINER = 2.0  # least decrease of cost of a variant against its neighbour for another fit
@@ -111,11 +109,10 @@ class FittedTrial(Trial[Cause]):
         for _ in range(steps):
             if not (finer := self._finer(cause)):
                 break
-            scores = Linearisation.at(self.fitted, Catalogue((cause, *finer), {})).tested_with(others).scores
-            near = next((score for score in scores if score.cause.place == cause.place), None)
-            if near is None or near.cause == cause:
+            near = Linearisation.at(self.fitted, Catalogue((cause, *finer), {})).forms(others, cause.place)
+            if not near or near[0].cause == cause:
                 break
-            best, cause = near, near.cause
+            best, cause = near[0], near[0].cause
         return best
 
     def refined(self) -> Iterator[list[Cause]]:
@@ -131,10 +128,7 @@ class FittedTrial(Trial[Cause]):
                 break
             linearisation = Linearisation.at(self.fitted, Catalogue((*moved, *chain.from_iterable(finer)), {}))
             for k in (k for k, variants in enumerate(finer) if variants):
-                others = [cause for cause in now if cause != now[k]]
-                near = [
-                    score for score in linearisation.tested_with(others).scores if score.cause.place == now[k].place
-                ]
+                near = linearisation.forms([cause for cause in now if cause != now[k]], now[k].place)
                 own_cost = next((score.cost for score in near if score.cause == now[k]), np.inf)
                 if near and near[0].cost < own_cost - CLEARLY_FINER:
                     now[k] = near[0].cause
@@ -343,51 +337,43 @@ def _spent(fitted: Fitted, cause: Cause, variants: Variants) -> float:
 
 
 def weighed(
-    start: Fitted,
-    extension: Extended,
-    basis: BackgroundBasis,
-    catalogue: Catalogue,
-    acceptance: CauseAcceptance,
-    rng: np.random.Generator,
-    say: Callable[[str], None],
+    start: Fitted, found: Fitted, basis: BackgroundBasis, catalogue: Catalogue, search: Stepwise[Cause]
 ) -> Extended:
-    """Return the extension after alternating between causes and background until both agree.
+    """Return the extension of start after alternating between the causes found and background until both agree.
 
     Causes that the background explains better, or that do not carry over, are dropped, and the search continues from the others; it
     ends where it would start from the same causes again.
     """
-    first, now, search = extension.first, extension, Stepwise(acceptance, extension.first, rng, say, nobody)
     searched, offered = set[frozenset[Cause]](), set[frozenset[Cause]]()
     while True:
-        now, n_causes = replace(now, fitted=beside_background(now.fitted, basis)), len(now.fitted.causes)
-        while weakest := _weakest(now.fitted, basis, catalogue.variants):
-            say(f"{words(weakest)} gives way to an unexplained error")
-            fewer = now.fitted.with_causes([cause for cause in now.fitted.causes if cause != weakest])
-            now = replace(now, fitted=fewer)
-        held = frozenset(now.fitted.causes)
-        if len(held) < n_causes:
-            now = replace(now, fitted=beside_background(now.fitted, basis))
-        left = background(now.fitted, basis)
-        beside = replace(now.fitted, background=left)
+        now = beside_background(found, basis)
+        while weakest := _weakest(now, basis, catalogue.variants):
+            search.say(f"{words(weakest)} gives way to an unexplained error")
+            now = now.with_causes([cause for cause in now.causes if cause != weakest])
+        held = frozenset(now.causes)
+        if len(held) < len(found.causes):
+            now = beside_background(now, basis)
+        left = background(now, basis)
+        beside = replace(now, background=left)
         if held in searched:
-            trial = FittedTrial(first.family, first.degrees_of_freedom, beside, catalogue)
-            now = extended(trial, [trial], first)
+            trial = FittedTrial(search.first.family, search.first.degrees_of_freedom, beside, catalogue)
+            ended = extended(trial, [trial], search.first)
             break
         # Once: where that gives way again, the search goes on beside the background.
-        if held not in offered and (instead := _named_instead(now.fitted, left, basis, catalogue, search)):
+        if held not in offered and (instead := _named_instead(now, left, basis, catalogue, search)):
             offered.add(held)
-            say(f"{words(instead)} in the place of an unexplained error")
-            now = replace(now, fitted=now.fitted.with_causes([*now.fitted.causes, instead]))
+            search.say(f"{words(instead)} in the place of an unexplained error")
+            found = now.with_causes([*now.causes, instead])
             continue
         searched.add(held)
         if left is not None and left.inputs:
             inputs = ", ".join(dict.fromkeys(map(" and ".join, left.inputs)))
-            say(f"left over, smooth in {inputs}: causes are tested beside it")
-        from_start = replace(start, background=left, shared=beside.shared)
-        now = _searched(from_start, beside, catalogue, search)
-        if frozenset(now.fitted.causes) == held:
+            search.say(f"left over, smooth in {inputs}: causes are tested beside it")
+        ended = _searched(replace(start, background=left, shared=beside.shared), beside, catalogue, search)
+        found = ended.fitted
+        if frozenset(found.causes) == held:
             break
-    return replace(now, findings=_judged(now, basis, unnamed(now.fitted, basis, catalogue.variants)))
+    return replace(ended, findings=_judged(ended, basis, catalogue.variants))
 
 
 def _named_instead(
@@ -457,8 +443,8 @@ def _second_thought(best: Trial[Cause], tried: list[Trial[Cause]], search: Stepw
     return best
 
 
-def _judged(extension: Extended, basis: BackgroundBasis, against: dict[Cause, float]) -> tuple[Detection[Cause], ...]:
-    kinds = blocks_beside_background(extension.fitted, basis)
+def _judged(extension: Extended, basis: BackgroundBasis, variants: Variants) -> tuple[Detection[Cause], ...]:
+    against, kinds = unnamed(extension.fitted, basis, variants), blocks_beside_background(extension.fitted, basis)
     return tuple(
         replace(
             finding,

@@ -2,10 +2,6 @@
 
 The amplitude is one figure for a cause's size, with a standard deviation averaged over all forms that explain the data as well. The
 gain is the reduction of the held-out error by a finding, with an interval.
-
-Unexplained structure is predicted by a Gaussian process without physical meaning, which is never part of the model: a decoy's waves
-with independent normal amplitudes of one variance (the weight-space view: Rasmussen and Williams 2006, 2.1). The variance is a
-variance component, as of the error model.
 """
 
 from __future__ import annotations
@@ -20,11 +16,10 @@ from calflow.diagnosis.diagnosis import Diagnosis
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.misfit import Misfit
 from calflow.diagnosis.noise_growth import RANGE, Growth
-from calflow.diagnosis.screening import Screening
 from calflow.diagnosis.stepwise import kindred
-from calflow.diagnosis.unexplained import POSE, UnexplainedStructure, is_any_error_along
+from calflow.diagnosis.unexplained import POSE, UnexplainedStructure, is_any_error_along, predicted
 from calflow.diagnosis.verdict import SIZE, Rival, Verdict, found_amplitude, named
-from calflow.effects import Effect, catalogue
+from calflow.effects import catalogue
 from calflow.effects.base import (
     IN_TIME,
     NONLINEAR,
@@ -37,18 +32,16 @@ from calflow.effects.base import (
     cause_name,
     cause_words,
 )
-from calflow.estimation.accuracy import distances, error_jacobian, errors, judged_unit
+from calflow.estimation.accuracy import distances, errors, gain, judged_unit
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.curve import Curve
 from calflow.estimation.needed_conditions import depended_on
 from calflow.estimation.parameters import UNIT
-from calflow.estimation.variance_components import VarianceComponents
 from calflow.files.deferred import pd
 from calflow.files.tables import column
 from calflow.files.units import METRE
 from calflow.files.words import listed, rounded
 from calflow.measurements.measurements import Measurements
-from calflow.measurements.rows import blocks_of
 from calflow.model import Model
 from calflow.observations import leading_units
 
@@ -62,8 +55,6 @@ INPUTS_IN_WORDS = {
 }
 RESTS = "comes to rest elsewhere each time, or errs in waves too short for these poses"
 OTHER_INPUTS = {*PLACE, *INPUTS_IN_WORDS, "order", "time", "payload"}  # inputs other than single joints
-RESAMPLES = 2000
-INTERVAL = (0.025, 0.975)
 NOT_CARRIED = "; it does not carry over to poses that were left out"
 NOT_DEPLOYED = "; suspected, and left out of the model: it does not help at poses left out in turn"
 
@@ -286,62 +277,6 @@ def _family_name(cause: NamedCause) -> str:
     """Return the name of a cause's family with its place; empty where it has none."""
     family = cause_family(cause.cause)
     return f"{family} of joint {cause.joint}" if family and cause.joint else family
-
-
-def gain(
-    before: np.ndarray, after: np.ndarray, heldout: Measurements, rng: np.random.Generator
-) -> tuple[float, float, float]:
-    """Return the reduction of the mean error between two models' `errors` (n_rows, n_axes) on held-out rows, and its 95 % interval.
-
-    It is by a bootstrap of whole poses, which are resampled within payload and session; nan where nothing is held out.
-    """
-    fallen = distances(before) - distances(after)
-    there = np.isfinite(fallen)
-    if not there.any():
-        return NAN, NAN, NAN
-    blocks, fallen = blocks_of(heldout.table), fallen[there]
-    table = heldout.table.loc[there, ["pose", *blocks]].assign(fallen=fallen)
-    poses = table.groupby("pose", sort=True).agg(
-        total=("fallen", "sum"), n=("fallen", "size"), **{name: (name, "first") for name in blocks}
-    )
-    total, count = np.zeros(RESAMPLES), np.zeros(RESAMPLES)
-    for _, group in poses.groupby(blocks, sort=True):
-        drawn = rng.integers(len(group), size=(RESAMPLES, len(group)))
-        total += group["total"].to_numpy()[drawn].sum(axis=1)
-        count += group["n"].to_numpy()[drawn].sum(axis=1)
-    low, high = np.quantile(total / count, INTERVAL)
-    return float(fallen.mean()), float(low), float(high)
-
-
-def predicted(fitted: Fitted, decoys: Sequence[Effect], data: Measurements) -> np.ndarray:
-    """Return the change of predicted positions (n_rows, 3) [m] by the Gaussian process of decoys: see `errors`.
-
-    The model's parameters are refitted beside it, linearly and with their priors.
-    """
-    regressors = replace(fitted, background=None).regressors(decoys)
-    amplitudes = _amplitudes(Screening(regressors), regressors.prior_sd)
-    jacobian = regressors.jacobian
-    imitated = jacobian.T @ regressors.matrix.times(amplitudes)
-    settled = -np.linalg.solve(jacobian.T @ jacobian + np.diag(regressors.precision), imitated)
-    model, fit = fitted.model, fitted.fit
-    both = replace(model, probes=tuple(decoys))
-    change = np.zeros(len(both.parameters))
-    change[np.flatnonzero(~fit.at_bound)] = settled
-    change[len(fit.estimate) :] = amplitudes
-    at = np.append(fit.estimate, both.nominal[len(fit.estimate) :])
-    return error_jacobian(both, at, data) @ change
-
-
-def _amplitudes(screening: Screening, usual: np.ndarray) -> np.ndarray:
-    """Return the posterior mean amplitudes of all columns (n_columns,), with one likeliest variance over their usual ones."""
-    shown = screening.information(np.arange(len(usual))) * usual[:, None] * usual
-    components = VarianceComponents(
-        np.zeros(len(usual), dtype=int), 1, shown, screening.score * usual, screening.chi2, screening.degrees_of_freedom
-    )
-    beside = components.posterior(components.most_likely(np.ones(1)))
-    amplitudes = np.zeros(len(usual))
-    amplitudes[beside.here] = -beside.size * beside.mean
-    return usual * amplitudes
 
 
 def findings(

@@ -32,15 +32,7 @@ from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import Candidate, H, Regressors
 from calflow.diagnosis.screening import INVISIBLE, Catalogue, Family, Score, Screening, by_place, f_test
 from calflow.effects.base import Cause
-from calflow.estimation.variance_components import (
-    LOG_PRIOR,
-    SIZES,
-    directions,
-    explained,
-    log_likelihood,
-    mixed,
-    size_cost,
-)
+from calflow.estimation.variance_components import LOG_PRIOR, SIZES, directions, explained, log_likelihood, mixed
 
 WITHIN = 10.0  # cost: closer rivals are not distinguished (Kass and Raftery 1995: "very strong" beyond)
 REACH = 7.0  # log odds against a model in reach, at most: a probability of 0.1 %
@@ -98,14 +90,13 @@ class Detection(Generic[H]):
 
 @dataclass(frozen=True)
 class Screened(Generic[H]):
-    """Scores of all candidates against one model, best first, the correction for their number, and causes that are not testable.
+    """Scores of all testable candidates against one model, best first, and the correction for their number.
 
     degrees_of_freedom are the model's residual ones.
     """
 
     scores: tuple[Score[H], ...]
     family: Family
-    hidden: tuple[H, ...]
     degrees_of_freedom: float
 
 
@@ -132,10 +123,7 @@ class Linearisation(Generic[H]):
     def screened(self, rng: np.random.Generator, family: Family | None = None) -> Screened[H]:
         """Return the tests of all causes that the model lacks; family is the correction for their number, if it is known."""
         screening = self.beside
-        shown = {score.cause.place for score in screening.scores}
-        every = {candidate.cause.place: candidate.cause for candidate in screening.regressors.candidates}
-        hidden = tuple(cause for place, cause in every.items() if place not in shown)
-        return Screened(tuple(screening.scores), family or screening.family(rng), hidden, screening.degrees_of_freedom)
+        return Screened(tuple(screening.scores), family or screening.family(rng), screening.degrees_of_freedom)
 
     @property
     def beside(self) -> Screening[H]:
@@ -174,11 +162,15 @@ class Linearisation(Generic[H]):
         """Return the causes with the scores of all candidates in each one's place."""
         return [Detection(cause, tuple(self.apart([cause]).scores), family) for cause in self.causes]
 
+    def forms(self, causes: Sequence[H], place: Place) -> list[Score[H]]:
+        """Return the scores of all forms of a place beside the given causes, best first."""
+        beside = self.tested_with(causes).regressors
+        there = [candidate for candidate in beside.candidates if candidate.cause.place == place]
+        return Screening(beside.only(there)).scores
+
     def _cost(self, gone: Sequence[H], cause: H) -> float:
         """Return the cost of a cause with others removed; zero where it is not testable."""
-        apart = self.apart(gone)
-        there = [c for c in apart.regressors.candidates if c.cause.place == cause.place]
-        scores = Screening(apart.regressors.only(there)).scores
+        scores = self.forms([other for other in self.causes if other not in gone], cause.place)
         own = [score.cost for score in scores if score.cause == cause]
         return min(own or (score.cost for score in scores), default=0.0)
 
@@ -213,7 +205,7 @@ class Trial(ABC, Generic[H]):
     @property
     @abstractmethod
     def cost(self) -> float:
-        """Minus twice the log evidence, comparable between trials: see `refitted_cost`."""
+        """Minus twice the log evidence, comparable between trials (see `refitted_cost`)."""
 
     @cached_property
     @abstractmethod
@@ -248,49 +240,6 @@ class Trial(ABC, Generic[H]):
     def findings(self) -> tuple[Detection[H], ...]:
         """Its causes, each with the scores of all candidates in its place."""
         return tuple(self.linearisation.findings(self.family)) if self.causes else ()
-
-
-def refitted_cost(
-    misfit: float, degrees_of_freedom: float, fitted: Sequence[Amplitudes], log_determinant: float
-) -> float:
-    """Return minus twice the log evidence of a refitted model, comparable with others of the same data.
-
-    The causes' amplitudes are integrated out by Laplace's approximation; the model's other parameters are common to all.
-
-    Args:
-        misfit: chi² of the model, without the causes' prior terms.
-        degrees_of_freedom: residual ones of the model without causes, as in `log_likelihood`.
-        fitted: the causes' amplitudes.
-        log_determinant: that of the covariance of the amplitudes off their bounds, over their usual sizes.
-    """
-    by_prior = sum(amplitudes.cost(degrees_of_freedom) for amplitudes in fitted)
-    return degrees_of_freedom * float(np.log(misfit)) + by_prior - log_determinant
-
-
-@dataclass(frozen=True)
-class Amplitudes:
-    """A cause's amplitudes by a refit: sum of squared estimates over usual sizes, pulled, and numbers of free and held ones.
-
-    variants is the number of forms of the cause that were tried. An amplitude at a bound was fitted without effect, and counts as
-    by BIC (Schwarz 1978).
-    """
-
-    pulled: float
-    free: int
-    held: int
-    variants: int
-
-    @staticmethod
-    def of(offset: np.ndarray, sd: np.ndarray, at_bound: np.ndarray, variants: int) -> Amplitudes:
-        """Return the amplitudes from offsets of estimates from the prior means, usual sizes and a mask of bounds, (n,) each."""
-        free = ~at_bound
-        pulled = float(((offset[free] / sd[free]) ** 2).sum())
-        return Amplitudes(pulled, int(free.sum()), int(at_bound.sum()), variants)
-
-    def cost(self, degrees_of_freedom: float) -> float:
-        """Return minus twice the log prior of the amplitudes."""
-        held = self.held * float(np.log(degrees_of_freedom))
-        return size_cost(self.pulled, self.free) + held + 2 * float(np.log(self.variants))
 
 
 def forget_all_but(best: Trial, tried: Sequence[Trial]) -> None:
@@ -416,15 +365,12 @@ class Exchange(Generic[H]):
 
     def alone(self) -> Score[H] | None:
         """Return the best candidate that explains the data better than the two removed causes together, if there is one."""
-        at = [k for k, score in enumerate(self.scores) if score.cause in self.gone]
-        best = min(self.scores, key=lambda score: score.cost, default=None)
-        if len(at) < 2 or best is None or not best.cost < self._costs[at[0], at[1]]:
-            return None
-        return best
+        at = self._removed
+        return self.scores[0] if len(at) == 2 and self.scores[0].cost < self._costs[at[0], at[1]] else None
 
     def better(self) -> Iterator[Pair[H]]:
         """Yield the pairs of different places that explain the data better than the removed causes, best first."""
-        at = [k for k, score in enumerate(self.scores) if score.cause in self.gone]
+        at = self._removed
         if len(at) < len(self.gone):
             return  # a removed cause is not testable here
         every = self._costs
@@ -436,6 +382,11 @@ class Exchange(Generic[H]):
             if not cost[i, j] < limit:
                 return
             yield Pair(self.scores[i], self.scores[j], float(cost[i, j]), max(self._p(i, j), self._p(j, i)))
+
+    @property
+    def _removed(self) -> list[int]:
+        """The indices of the removed causes, those that are testable here."""
+        return [k for k, score in enumerate(self.scores) if score.cause in self.gone]
 
     @property
     def _of_different_places(self) -> np.ndarray:

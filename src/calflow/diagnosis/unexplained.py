@@ -6,6 +6,10 @@ significant decoy is reported as unexplained, never as a cause.
 Unexplained structure has suspects: the family of general errors along its input, and causes that failed their test but are too
 probable to be ignored.
 
+Unexplained structure is predicted by a Gaussian process without physical meaning, which is never part of the model: a decoy's waves
+with independent normal amplitudes of one variance (the weight-space view: Rasmussen and Williams 2006, 2.1). The variance is a
+variance component, as of the error model.
+
 Joints that do not repeat have errors independent from standstill to standstill, which no input explains: play is one where the
 approach was not recorded. The variance of each joint's random error is estimated by restricted likelihood (see
 `variance_components`) beside the model and the smooth background. It moves the tool in the joint's direction and by its moment arm,
@@ -29,7 +33,7 @@ from calflow.diagnosis.regressors import Background
 from calflow.diagnosis.screening import MATERIAL, Score, Screening, by_place, place_probabilities
 from calflow.effects import Effect
 from calflow.effects.base import ITS_ANGLE, UNITS, Cause
-from calflow.estimation.accuracy import judged_unit
+from calflow.estimation.accuracy import error_jacobian, judged_unit
 from calflow.estimation.smooth_functions import (
     SIZE,
     JointField,
@@ -42,6 +46,7 @@ from calflow.estimation.smooth_functions import (
 )
 from calflow.estimation.variance_components import USUAL, VarianceComponents
 from calflow.files.words import rounded
+from calflow.measurements.measurements import Measurements
 from calflow.observations import leading_units
 from calflow.robot.mechanism import Deflection, Row, State
 from calflow.robot.parts import Parameter
@@ -173,6 +178,37 @@ def _of_poses(fitted: Fitted) -> list[UnexplainedStructure]:
             (POSE,), float(scipy.stats.chi2.sf(fitted.intraclass_likelihood.gain, 1)) / 2, fitted.intraclass, ()
         )
     ]
+
+
+def predicted(fitted: Fitted, decoys: Sequence[Effect], data: Measurements) -> np.ndarray:
+    """Return the change of predicted positions (n_rows, 3) [m] by the Gaussian process of decoys: see `errors`.
+
+    The model's parameters are refitted beside it, linearly and with their priors.
+    """
+    regressors = replace(fitted, background=None).regressors(decoys)
+    amplitudes = _amplitudes(Screening(regressors), regressors.prior_sd)
+    jacobian = regressors.jacobian
+    imitated = jacobian.T @ regressors.matrix.times(amplitudes)
+    settled = -np.linalg.solve(jacobian.T @ jacobian + np.diag(regressors.precision), imitated)
+    model, fit = fitted.model, fitted.fit
+    both = replace(model, probes=tuple(decoys))
+    change = np.zeros(len(both.parameters))
+    change[np.flatnonzero(~fit.at_bound)] = settled
+    change[len(fit.estimate) :] = amplitudes
+    at = np.append(fit.estimate, both.nominal[len(fit.estimate) :])
+    return error_jacobian(both, at, data) @ change
+
+
+def _amplitudes(screening: Screening, usual: np.ndarray) -> np.ndarray:
+    """Return the posterior mean amplitudes of all columns (n_columns,), with one likeliest variance over their usual ones."""
+    shown = screening.information(np.arange(len(usual))) * usual[:, None] * usual
+    components = VarianceComponents(
+        np.zeros(len(usual), dtype=int), 1, shown, screening.score * usual, screening.chi2, screening.degrees_of_freedom
+    )
+    beside = components.posterior(components.most_likely(np.ones(1)))
+    amplitudes = np.zeros(len(usual))
+    amplitudes[beside.here] = -beside.size * beside.mean
+    return usual * amplitudes
 
 
 @dataclass(frozen=True)

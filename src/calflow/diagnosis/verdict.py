@@ -98,13 +98,9 @@ class Verdict(Generic[H]):
     @property
     def family(self) -> str:
         """Its family's name, where it has rivals and all are of that family at one joint; empty otherwise."""
-        cause = self.finding.cause
-        family = cause.family
-        same = all(
-            rival.cause is not None and rival.cause.family == family and rival.joint == cause.joint
-            for rival in self.rivals
-        )
-        return family if family and self.rivals and same else ""
+        family, joint = self.finding.cause.family, self.finding.cause.joint
+        same = (rival.cause and (rival.cause.family, rival.joint) == (family, joint) for rival in self.rivals)
+        return family if self.rivals and all(same) else ""
 
 
 def verdict(finding: Detection[H], untestable: Mapping[str, str] = MappingProxyType({})) -> Verdict[H]:

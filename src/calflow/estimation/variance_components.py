@@ -16,7 +16,7 @@ out (Kass and Raftery 1995): what counts is how far the data narrow them down, n
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -303,3 +303,46 @@ def size_cost(pulled: float, number: int) -> float:
         number: number of estimates.
     """
     return float(-2 * mixed(-pulled / SIZES**2 / 2 - number * np.log(SIZES)))
+
+
+def refitted_cost(
+    misfit: float, degrees_of_freedom: float, fitted: Sequence[Amplitudes], log_determinant: float
+) -> float:
+    """Return minus twice the log evidence of a refitted model, comparable with others of the same data.
+
+    The causes' amplitudes are integrated out by Laplace's approximation; the model's other parameters are common to all.
+
+    Args:
+        misfit: chi² of the model, without the causes' prior terms.
+        degrees_of_freedom: residual ones of the model without causes, as in `log_likelihood`.
+        fitted: the causes' amplitudes.
+        log_determinant: that of the covariance of the amplitudes off their bounds, over their usual sizes.
+    """
+    by_prior = sum(amplitudes.cost(degrees_of_freedom) for amplitudes in fitted)
+    return degrees_of_freedom * float(np.log(misfit)) + by_prior - log_determinant
+
+
+@dataclass(frozen=True)
+class Amplitudes:
+    """A cause's amplitudes by a refit: sum of squared estimates over usual sizes, pulled, and numbers of free and held ones.
+
+    variants is the number of forms of the cause that were tried. An amplitude at a bound was fitted without effect, and counts as
+    by BIC (Schwarz 1978).
+    """
+
+    pulled: float
+    free: int
+    held: int
+    variants: int
+
+    @staticmethod
+    def of(offset: np.ndarray, sd: np.ndarray, at_bound: np.ndarray, variants: int) -> Amplitudes:
+        """Return the amplitudes from offsets of estimates from the prior means, usual sizes and a mask of bounds, (n,) each."""
+        free = ~at_bound
+        pulled = float(((offset[free] / sd[free]) ** 2).sum())
+        return Amplitudes(pulled, int(free.sum()), int(at_bound.sum()), variants)
+
+    def cost(self, degrees_of_freedom: float) -> float:
+        """Return minus twice the log prior of the amplitudes."""
+        held = self.held * float(np.log(degrees_of_freedom))
+        return size_cost(self.pulled, self.free) + held + 2 * float(np.log(self.variants))

@@ -234,10 +234,10 @@ def _isolability(context: Context, model: Model, planned: Planned, chosen: Selec
 
     def isolability_of(of: MeasuringPlan) -> Isolability:
         rng = context.rng("isolability")  # the same noise for every plan, so that only the plans differ
+        data = of.measurements().split(study.file.split.holdout, study.file.seed)
         return isolability(
-            study.file.effects, planned, of, rng, size=settings.isolability_size, false_alarm=false_alarm,
-            holdout=study.file.split.holdout, seed=study.file.seed,
-        )  # fmt: skip
+            study.file.effects, planned, data, rng, size=settings.isolability_size, false_alarm=false_alarm
+        )
 
     now = isolability_of(plan)
     tried = {words: isolability_of(added) for words, added in plan.additions(more)}
