@@ -5,7 +5,7 @@ Nuisance parameters that no fitted row determines, as the place of a new station
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal
@@ -44,15 +44,13 @@ def completed(model: Model, estimate: np.ndarray, data: Measurements) -> tuple[M
     further = tuple(more for effect in model.effects for more in effect.completing(data))
     if not any(lacking) and not further:
         return model, estimate
-    points = model.point(estimate, data.conditions)
-    turned = model.rotation(estimate, data.conditions)
     every = list[Observation]()
     for k, (observation, new) in enumerate(zip(model.observations, lacking, strict=True)):
-        rows = data.of_series(k)
-        links = partial(model.link, p=estimate, conditions=data.conditions[:, rows])
-        every.append(
-            _extended(observation, links, points[rows], turned[rows], data.table[rows]) if new else observation
-        )
+        if new:
+            rows, before = data.only(data.of_series(k)), {place.what: place for place in observation.placements}
+            placed = registered_on(observation.extended(rows.table), rows, model, estimate)
+            observation = placed.placed({place.what: before.get(place.what, place) for place in placed.placements})
+        every.append(observation)
     wider = replace(model, observations=tuple(every), effects=(*model.effects, *further))
     estimates = dict(zip((parameter.name for parameter in model.parameters), estimate, strict=True))
     start = np.array([estimates.get(parameter.name, parameter.nominal) for parameter in wider.parameters])
@@ -89,16 +87,12 @@ def _linearised(
     return error, slope.reshape(len(error), len(columns))
 
 
-def _extended(
-    observation: Observation,
-    links: Callable[[str], np.ndarray],
-    points: np.ndarray,
-    turned: np.ndarray,
-    table: pd.DataFrame,
-) -> Observation:
-    placed = observation.extended(table).registered_on(links, points, turned, table)
-    before = {placement.what: placement for placement in observation.placements}
-    return placed.placed({placement.what: before.get(placement.what, placement) for placement in placed.placements})
+def registered_on(observation: Observation, rows: Measurements, model: Model, estimate: np.ndarray) -> Observation:
+    """Return an observation with its objects placed by the rows of its series and a model (see `Observation.registered_on`)."""
+    conditions = rows.conditions
+    points, turned = model.point(estimate, conditions), model.rotation(estimate, conditions)
+    links = partial(model.link, p=estimate, conditions=conditions)
+    return observation.registered_on(links, points, turned, rows.table)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -96,6 +96,8 @@ class Certainty:
         held = bool((data.held_out & there).any())
         judged = (data.held_out if held else data.train) & there
         some = data.conditions[:, np.flatnonzero(judged)[representative(data.only(judged))]]
+        every = data.conditions[:, representative(data)]
+        worse = promised_distance(calibrated, every) >= distance_moved(calibrated, every)
         variances = (of_rows(calibrated, some) for of_rows in (parameter_variance, position_variance))
         model_sd, prediction_sd = (1e3 * float(np.sqrt(variance.sum(axis=1).mean())) for variance in variances)
         noise = calibrated.noise(data)
@@ -117,7 +119,7 @@ class Certainty:
             reach_m=(float(reach.min()), float(reach.max())),
             heights_m=(float(place[:, 2].min()), float(place[:, 2].max())), tested=len(tested), within=int(below.sum()),
             within_chance=float(scipy.special.betainc(beyond, poses - beyond + 1, 1 - PROMISED)) if beyond else 1.0,
-            no_gain=_no_gain(calibrated, data), expected_mm=then_and_later(calibrated, data),
+            no_gain=float(worse.mean()), expected_mm=then_and_later(calibrated, data),
             missed=missed_poses(calibrated, data, residuals, distance),
         )  # fmt: skip
 
@@ -195,8 +197,3 @@ def errors_in(residuals: pd.DataFrame, label: str) -> np.ndarray:
     if label == METRE.label:
         return residuals["error_mm"].to_numpy(dtype=float)
     return residuals["error"].where(residuals["unit"] == label).to_numpy(dtype=float)
-
-
-def _no_gain(calibrated: CalibratedModel, data: Measurements) -> float:
-    conditions = data.conditions[:, representative(data)]
-    return float((promised_distance(calibrated, conditions) >= distance_moved(calibrated, conditions)).mean())

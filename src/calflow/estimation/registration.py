@@ -6,13 +6,14 @@ It also checks that the measurements are plausible for this robot: units, and cl
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 
 import casadi as ca
 import numpy as np
 
 from calflow.effects.geometry import DimensionError, Geometry
+from calflow.estimation.accuracy import registered_on
 from calflow.estimation.fit import fit
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import Noise, Source
@@ -149,17 +150,11 @@ def registered(
     else:
         robot = replace(robot, base=Base(fixed=True))
     nominal = build(robot, (), train.given)
-    points, turned = (of(nominal.nominal, train.conditions) for of in (nominal.point, nominal.rotation))
-    placed = []
-    for k, observation in enumerate(observed):
-        rows = train.of_series(k)
-        links = partial(nominal.link, p=nominal.nominal, conditions=train.conditions[:, rows])
-        placed.append(
-            observation.registered_on(links, points[rows], turned[rows], train.table[rows])
-            if rows.any()
-            else observation
-        )
-    return robot, tuple(placed)
+    series = [train.only(train.of_series(k)) for k in range(len(observed))]
+    return robot, tuple(
+        registered_on(observation, rows, nominal, nominal.nominal) if len(rows) else observation
+        for observation, rows in zip(observed, series, strict=True)
+    )
 
 
 def check_one_tool(measured: Measurements) -> None:
