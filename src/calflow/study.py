@@ -15,7 +15,7 @@ from pydantic import AfterValidator, Discriminator, Field, Tag, field_validator,
 
 from calflow.effects.base import unmet
 from calflow.estimation.parameters import contradictions, mistaken
-from calflow.estimation.registration import plausible
+from calflow.faults.implausible import plausible
 from calflow.files.problems import (
     InputError,
     NoSuchFile,

@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calflow.estimation.registration import plausible
+from calflow.faults.implausible import plausible
 from calflow.files.problems import InputError
 from calflow.measurements.measurements import Measurements
 from calflow.robot.robot import Robot

@@ -20,7 +20,7 @@ from calflow.design.optimality import ToolError
 from calflow.estimation.least_squares import LeastSquares, SeriesBlock, Sharing
 from calflow.estimation.noise import Noise, PerUnit
 from calflow.estimation.progress import Say, nobody
-from calflow.estimation.registration import plausible
+from calflow.faults.implausible import plausible
 from calflow.files.problems import refuse
 from calflow.files.toml import Count, Positive, as_annotated
 from calflow.measurements.cells import read_cells

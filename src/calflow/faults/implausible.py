@@ -1,20 +1,103 @@
-"""Implausible data: positions that no calibration of the robot file explains, and, after corrections, joint limits."""
+"""Implausible data: wrong units, an open loop, positions that no calibration of the robot file explains, and joint limits.
+
+Units and loop are checked as rows are read; the others after corrections.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 
 from calflow.faults.base import lines_in_words
 from calflow.faults.setup import Setup
+from calflow.files.problems import Problem, refuse_any
 from calflow.files.words import rounded
 from calflow.measurements.measurements import Measurements
+from calflow.measurements.rows import at_rows
+from calflow.model import build
 
 # In m, and as a share of the reach: largest deviation of a robot from its maker's dimensions.
 IMPLAUSIBLE_ERROR, IMPLAUSIBLE_SHARE = 0.1, 0.1
 MIN_POSES = 8  # least number of poses: base and tool fit fewer
 TOLERANCE = {"rad": np.deg2rad(0.5), "m": 1e-3}  # excess over a limit; less may be rounding, or a compliant stop
+SHAPE_ROWS = 200  # rows whose mutual distances reveal a wrong unit
+SHAPE_WRONG = 0.3  # least disagreement with the nominal robot's distances in the named unit
+SHAPE_RIGHT = 0.1  # largest disagreement in the unit that is meant
+FEW_POSES = 3  # too few to compare shapes
+
+
+def plausible(measured: Measurements, path: Path) -> Measurements:
+    """Return measurements, or rows to be predicted, after checking that they are plausible for their robot.
+
+    Raises:
+        InputError: they are in other units than their columns say, or at joint readings that the robot cannot reach.
+    """
+    refuse_any(check_units(measured, path) or check_loop(measured, path))
+    return measured
+
+
+def check_units(measured: Measurements, path: Path) -> list[Problem]:
+    """Find wrong units, as degrees named radians or millimetres named metres.
+
+    Distances between measured points are compared with those between the nominal robot's: a unit is wrong if they agree far
+    better when angles or lengths are read in another.
+    """
+    revolute = [i for i, joint in enumerate(measured.robot.joints) if joint.kind == "revolute"]
+    largest = np.abs(measured.joints[:, revolute]).max() if revolute else 0.0
+    angles = f"q1 … q{measured.robot.n_joints}"
+    degrees = f"{angles}: does a column named _rad hold degrees? "
+    if largest > 6 * np.pi:
+        return [Problem(f"{degrees}The largest reading is {largest:.4g} rad, over three turns", path)]
+    if "x" not in measured.table or measured.table["pose"].nunique() <= FEW_POSES:
+        return []
+    named, turns, stretches = measured.units, {1.0: ""}, {1.0: ""}
+    if "rad" in named:
+        turns[np.pi / 180] = degrees
+    if "deg" in named:
+        turns[180 / np.pi] = f"{angles}: does a column named _deg hold radians? "
+    if "m" in named:
+        stretches[1e-3] = "x, y, z: does a column named _m hold millimetres? "
+    if "mm" in named:
+        stretches[1e3] = "x, y, z: does a column named _mm hold metres? "
+    if _disagreement(measured, 1.0, 1.0) < SHAPE_WRONG:
+        return []
+    disagreements = {(turn, stretch): _disagreement(measured, turn, stretch) for turn in turns for stretch in stretches}
+    best = min(disagreements, key=lambda units: disagreements[units])
+    if disagreements[best] > SHAPE_RIGHT:
+        return []
+    return [
+        Problem(
+            f"{turns[best[0]]}{stretches[best[1]]}The measured points would fit the nominal robot far better then", path
+        )
+    ]
+
+
+def _disagreement(measured: Measurements, turn: float, stretch: float) -> float:
+    """Return the relative difference of distances between points from the nominal robot's: 0 where all agree, at most 1.
+
+    Readings of revolute joints are multiplied by turn, measured positions by stretch.
+    """
+    nominal = build(measured.robot, (), measured.given)
+    chosen = np.unique(np.linspace(0, len(measured) - 1, SHAPE_ROWS).astype(int))
+    conditions = measured.conditions[:, chosen]
+    conditions[: measured.robot.n_joints] *= [
+        [turn if joint.kind == "revolute" else 1.0] for joint in measured.robot.joints
+    ]
+    both = (stretch * measured.position[chosen], nominal.position(nominal.nominal, conditions))
+    points, expected = (np.linalg.norm(places[:, None] - places[None], axis=2) for places in both)
+    share = np.median(np.abs(points - expected)) / (np.median(points) + np.median(expected))
+    return float(share) if np.isfinite(share) else 1.0
+
+
+def check_loop(measured: Measurements, path: Path) -> list[Problem]:
+    """Return the problems of rows whose joint readings do not close the four-bar loop."""
+    if measured.robot.loop is None:
+        return []
+    nominal = build(measured.robot, (), measured.given)
+    open_ = np.abs(nominal.closure_cosine(nominal.nominal, measured.conditions)) >= 1
+    return at_rows(open_, measured.table, path, "the four-bar loop cannot be closed at these joint readings")
 
 
 def one_position(position: np.ndarray) -> str:

@@ -13,7 +13,7 @@ from calflow.deployment.attained import TARGET
 from calflow.deployment.compensation import Compensation, compensate_rows, targets_in_measuring_frame
 from calflow.deployment.inverse_kinematics import Targets
 from calflow.deployment.prediction import Missing, beyond_limits, on_conditions_of, standing
-from calflow.estimation.registration import plausible
+from calflow.faults.implausible import plausible
 from calflow.files.deferred import pd
 from calflow.files.problems import Problem, refuse, refuse_any
 from calflow.files.tables import csv_text

@@ -14,8 +14,8 @@ from calflow.design.candidates import candidates
 from calflow.estimation.calibrated_model import CalibratedModel, with_maps_held
 from calflow.estimation.model_tables import IdentifySummary, calibrated
 from calflow.estimation.noise import conditions
-from calflow.estimation.registration import plausible
 from calflow.faults import corrected
+from calflow.faults.implausible import plausible
 from calflow.files.deferred import pd
 from calflow.files.problems import Problem, refuse
 from calflow.files.tables import Results, to_document
