@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from calflow.estimation.accuracy import errors
+from calflow.estimation.extrapolation import extrapolation
 from calflow.estimation.fit import fit_reweighted
-from calflow.estimation.leverage import extrapolation
 from calflow.estimation.noise import measured_noise
 from calflow.estimation.registration import registered
 from calflow.measurements.measurements import Measurements

@@ -9,7 +9,8 @@ import pandas as pd
 
 from calflow.design.candidates import candidates
 from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise
-from calflow.estimation.error_model import ErrorModel, SmoothVariances, beside_smooth_errors, beyond_measured
+from calflow.estimation.error_model import ErrorModel, SmoothVariances, beside_smooth_errors
+from calflow.estimation.extrapolation import beyond_measured
 from calflow.estimation.fit import fit_reweighted
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import Noise, PerUnit, Source

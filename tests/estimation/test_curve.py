@@ -8,7 +8,7 @@ import pytest
 
 from calflow.effects.base import Cause, Travel, waves
 from calflow.effects.joint_error_map import FINEST, JointErrorMap
-from calflow.estimation.curve import Curve
+from calflow.estimation.extrapolation import Curve
 from robots import industrial
 
 LENGTH = 0.15

@@ -14,14 +14,8 @@ from calflow.effects.frame_drift import FrameDrift
 from calflow.effects.joint_error_map import JointErrorMap
 from calflow.effects.thermal_growth import ThermalGrowth
 from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise
-from calflow.estimation.error_model import (
-    ErrorModel,
-    SmoothVariances,
-    beside_smooth_errors,
-    beyond_measured,
-    error_table,
-    read_errors,
-)
+from calflow.estimation.error_model import ErrorModel, SmoothVariances, beside_smooth_errors, error_table, read_errors
+from calflow.estimation.extrapolation import beyond_measured
 from calflow.estimation.fit import Fit, fit_reweighted
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.needed_conditions import needed_conditions

@@ -17,7 +17,7 @@ from calflow.diagnosis.stepwise import Screened
 from calflow.diagnosis.verdict import SIZE, amplitude
 from calflow.effects import Effect, catalogue
 from calflow.effects.base import NOTHING, Cause
-from calflow.estimation.curve import Curve
+from calflow.estimation.extrapolation import Curve
 from calflow.estimation.parameters import UNIT
 from calflow.files.deferred import pd
 from calflow.files.tables import column, to_frame

@@ -34,7 +34,7 @@ from calflow.effects.base import (
 )
 from calflow.estimation.accuracy import distances, errors, gain, judged_unit
 from calflow.estimation.calibrated_model import CalibratedModel
-from calflow.estimation.curve import Curve
+from calflow.estimation.extrapolation import Curve
 from calflow.estimation.needed_conditions import depended_on
 from calflow.estimation.parameters import UNIT
 from calflow.files.deferred import pd

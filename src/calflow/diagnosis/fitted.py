@@ -12,7 +12,8 @@ from calflow.diagnosis.regressors import Background, Regressors
 from calflow.effects import Effect
 from calflow.effects.base import Cause
 from calflow.estimation.calibrated_model import CalibratedModel
-from calflow.estimation.error_model import ErrorModel, SmoothVariances, beside_smooth_errors, beyond_measured
+from calflow.estimation.error_model import ErrorModel, SmoothVariances, beside_smooth_errors
+from calflow.estimation.extrapolation import beyond_measured
 from calflow.estimation.fit import Fit, IntraclassLikelihood, fit, fit_reweighted
 from calflow.estimation.lack_of_fit import LackOfFit
 from calflow.estimation.least_squares import LeastSquares, Loss

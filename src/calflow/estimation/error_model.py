@@ -5,12 +5,12 @@ Residuals are white noise plus random smooth functions of joints, place, payload
 misfit does not count as many independent errors, nor its extrapolation as certain.
 
 A prediction's error is that of the parameters and of the functions, both given the data: small between measured poses, with the
-functions' prior variance far from them (at a joint past its travel, or at a later hour, see `beyond_measured`).
+functions' prior variance far from them (at a joint past its travel, or at a later hour, see `extrapolation`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import chain
@@ -18,31 +18,15 @@ from itertools import chain
 import numpy as np
 import scipy
 
-from calflow.effects.base import OF_THE_FRAME, Cause, Effect
-from calflow.effects.warming import Warming
-from calflow.estimation.curve import Curve
+from calflow.effects.base import Effect
 from calflow.estimation.fit import Fit
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import representative
 from calflow.estimation.probing import Probe
-from calflow.estimation.smooth_functions import (
-    AtAnyTime,
-    BeyondTravel,
-    Cooling,
-    InPlace,
-    InTime,
-    JointField,
-    Later,
-    Shift,
-    SmoothFunction,
-    UnderPayload,
-    in_time,
-    is_mean,
-    means,
-    smooth_functions,
-)
+from calflow.estimation.smooth_functions import SmoothFunction, is_mean, means, smooth_functions
 from calflow.estimation.variance_components import VarianceComponents
 from calflow.files.deferred import pd
+from calflow.files.plugins import subclasses
 from calflow.files.tables import column, typed
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
@@ -50,13 +34,9 @@ from calflow.model import Model
 MIN_REDUCTION = 1e-2  # least relative reduction of a direction's variance by the data for it to be kept
 ROWS = 1000  # rows at which the functions are evaluated at once
 # The kinds of functions by name, by which tables refer to them.
-FUNCTIONS: Mapping[str, type[SmoothFunction]] = {
-    kind.__name__: kind
-    for kind in (JointField, Shift, InTime, UnderPayload, InPlace, BeyondTravel, Later, AtAnyTime, Cooling)
-}
+FUNCTIONS = {kind.__name__: kind for kind in subclasses(SmoothFunction)}  # type: ignore[type-abstract]
 VISIBLE = 0.05  # least variance of a part over the white noise's: no noise is stated more accurately
 INSIDE = 1e-9  # share of the distance to a bound that a step leaves
-MOMENT = 1.0  # s after the measurement, within which the shift by a cause grows to its full value
 
 
 @dataclass(frozen=True, eq=False)
@@ -512,93 +492,3 @@ class SlopeProducts:
             self.size - result.effective_parameters,
             floor,
         )
-
-
-def beyond_measured(errors: ErrorModel, sizes: SmoothVariances, variance: np.ndarray) -> ErrorModel:
-    """Return an error model extended beyond the measurement: curves past their travel, and drifts as random walks in time.
-
-    A cause of the device's frame is a drift, too: its walk has the variance estimated without that cause, and starts from the
-    cause's last value. During the measurement the cause describes it, and it is no error of the robot. A warm-up goes on, but
-    the robot may be switched off.
-
-    Args:
-        errors: the error model at the measured rows.
-        sizes: what smooth errors there may be beside the model.
-        variance: of each of their parts, (n_parts,).
-    """
-    functions = [*_beyond_causes(sizes.result, sizes.data)]
-    further = errors.with_functions(functions, usual_sizes(sizes.result.model, functions))
-    return _beyond_time(further, sizes, _walks(sizes, variance))
-
-
-def _beyond_causes(result: Fit, data: Measurements) -> Iterator[SmoothFunction]:
-    """Yield the continuations of causes: of curves past their travel, and of warm-ups past the end."""
-    model = result.model
-    for cause in (effect for effect in model.effects if isinstance(effect, Cause)):
-        own, warming = model.columns(cause), cause.effect
-        if curve := Curve.of(cause, result.estimate[own], result.covariance[np.ix_(own, own)]):
-            at = curve.travel
-            yield BeyondTravel(data.robot, cause.joint - 1, at.low, at.high, at.length, curve.rms_elsewhere)
-        if isinstance(warming, Warming) and warming.constant and not warming.of_measuring():
-            growth, end = float(model.values(cause, result.estimate)[0]), float(data.table["time"].max())
-            once = replace(warming, pauses=()).figures_text
-            yield Cooling(data.robot, cause.id, once, cause.part, growth, end)
-
-
-def _beyond_time(errors: ErrorModel, sizes: SmoothVariances, left: dict[str, float]) -> ErrorModel:
-    """Return it with walks in time; left are those beside the model (see `_walks`)."""
-    result, data = sizes.result, sizes.data
-    # Which session it was says all of its frame: the next one's is placed anew.
-    causes = [
-        effect for effect in result.model.effects if effect.family == OF_THE_FRAME and "session" not in effect.needs
-    ]
-    steps = in_time(data)
-    if not steps or not (causes or any(left.values())):
-        return errors
-    by_order = steps[0].clock == "order"
-    if by_order:
-        # The order starts anew in each measurement.
-        errors = errors.only(lambda function: not isinstance(function, InTime))
-    walks = _walks(apart := sizes.without(causes), apart.variance) if causes else left
-    for of, walk in walks.items():
-        functions: list[SmoothFunction]
-        if by_order:
-            # With causes twice the variance: their drift, extrapolated to other rows, and the drift there are independent.
-            functions = [*in_time(data, of)]
-            share = np.full(len(functions), walk * (np.sqrt(2) if causes else 1.0))
-        else:
-            begin, end = steps[0].begin, steps[-1].end
-            later = Later(data.robot, of, begin=begin, end=end)
-            functions = [later, AtAnyTime(data.robot, of, begin=begin, end=end)]
-            share = np.array([later.change(end - begin) * walk, left[of]])
-        sd = usual_sizes(result.model, functions)
-        sd = sd * np.repeat(share, len(sd) // len(share))
-        # Functions of zero variance would only cost time at every predicted row.
-        if sd.any():
-            errors = errors.with_functions(functions, sd)
-    if causes and not by_order:
-        end, slope = steps[-1].end, _moved(causes, result, data)
-        come = [InTime(data.robot, begin=end, end=end + MOMENT)]
-        sd = usual_sizes(result.model, come)
-        slope /= sd[:, None]
-        errors = errors.with_functions(come, sd, (slope @ (result.estimate + errors.offset), -slope))
-    return errors
-
-
-def _walks(sizes: SmoothVariances, variance: np.ndarray) -> dict[str, float]:
-    """Return the standard deviation of each quantity's random walk in time, over the usual one; 0 without a walk."""
-    level = sizes.components.level(variance)
-    return {
-        functions[0].of: float(np.sqrt(level * own))
-        for (_, functions), own in zip(sizes.kinds, variance, strict=True)
-        if isinstance(functions[0], InTime)
-    }
-
-
-def _moved(causes: Sequence[Effect], result: Fit, data: Measurements) -> np.ndarray:
-    """Return the derivatives of the mean shift of reported points, by causes at the end of the measurement, (3, n) [m]."""
-    model = result.model
-    last = {name: data.table[name].max() for name in ("time", "order") if name in data.table}
-    rows = replace(data, table=data.table.assign(**last)).conditions
-    of_causes = np.isin(np.arange(len(result.estimate)), np.concatenate([model.columns(cause) for cause in causes]))
-    return np.asarray(model.position_jacobian(result.estimate, rows).mean(axis=0) * of_causes)

@@ -13,12 +13,13 @@ from threadpoolctl import threadpool_limits
 from calflow.effects import Effect, effect_ids
 from calflow.estimation.accuracy import Accuracy, accuracy, leading_errors
 from calflow.estimation.calibrated_model import CalibratedModel, series_noise
-from calflow.estimation.error_model import ErrorModel, SmoothVariances, beside_smooth_errors, beyond_measured
+from calflow.estimation.error_model import ErrorModel, SmoothVariances, beside_smooth_errors
+from calflow.estimation.extrapolation import beyond_measured, extrapolation
 from calflow.estimation.fit import Fit, draw_starts, fit_sharing, fit_to_all
 from calflow.estimation.identifiability import Identifiability, identifiability
 from calflow.estimation.lack_of_fit import LackOfFit, NoiseDoubt, doubts_of_repeats, doubts_of_residuals
 from calflow.estimation.least_squares import Loss
-from calflow.estimation.leverage import LeftOut, extrapolation, left_out
+from calflow.estimation.leverage import LeftOut, left_out
 from calflow.estimation.model_tables import IdentifySummary, fit_figures
 from calflow.estimation.needed_conditions import needed_conditions
 from calflow.estimation.noise import Noise, NoiseSource, averaged, conditions, noise_beside, representative

@@ -5,8 +5,6 @@ at the fitted poses, most at those of high leverage, so that residuals understat
 do not (Stone 1974). One Jacobian yields them without a refit (Allen's PRESS 1974): with V the covariance of a pose's whitened
 errors and H = J Σ Jᵀ that of its prediction, they are V (V - H)⁻¹ times the residual, and have the covariance V (V - H)⁻¹ V where
 the model is complete.
-
-Extrapolation: joints whose held-out readings lie beyond the fitted range.
 """
 
 from __future__ import annotations
@@ -20,7 +18,6 @@ import scipy
 from calflow.estimation.accuracy import Residual, completed, leading_errors, residuals
 from calflow.estimation.fit import Fit, restated
 from calflow.estimation.least_squares import LeastSquares
-from calflow.estimation.model_tables import Extrapolation
 from calflow.estimation.noise import Noise
 from calflow.files.deferred import pd
 from calflow.files.tables import column, typed
@@ -32,7 +29,6 @@ TINY = 1e-12  # standard deviations: smaller errors are rounding
 LEAST_LEFT = 1e-3  # lower limit of a residual's variance, as a share of the row's variance
 UNSURE = 0.05  # probability that the error at new poses exceeds its upper limit
 BY_CHANCE = 0.05  # p-value of the leave-one-out errors of a complete model, above which they show no excess
-BEYOND = 0.1  # share of a joint's travel by which a held-out reading may lie outside the fitted range
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -238,22 +234,3 @@ def halved(places: np.ndarray, levels: int) -> np.ndarray:
             upper[members[np.argsort(along, kind="stable")[len(members) // 2 :]]] = True
         block = 2 * block + upper
     return block
-
-
-def extrapolation(data: Measurements) -> tuple[Extrapolation, ...]:
-    """Return the joints whose held-out readings lie beyond the fitted range, where held-out accuracy is extrapolation."""
-    if not data.held_out.any():
-        return ()
-    every = data.joints[data.train | data.held_out]
-    rows = beyond(data.joints[data.held_out], data.joints[data.train], np.ptp(every, axis=0)).sum(axis=0)
-    return tuple(Extrapolation(joint=int(i) + 1, rows=int(rows[i])) for i in np.flatnonzero(rows))
-
-
-def beyond(readings: np.ndarray, measured: np.ndarray, travel: np.ndarray | None = None) -> np.ndarray:
-    """Return the mask of joint readings (n_rows, n_joints) outside the measured range (n_measured, n_joints).
-
-    They are so by more than a tenth of a travel (n_joints,), by default that range.
-    """
-    low, high = measured.min(axis=0), measured.max(axis=0)
-    margin = BEYOND * (high - low if travel is None else travel)
-    return np.asarray((readings < low - margin) | (readings > high + margin))

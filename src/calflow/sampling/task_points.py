@@ -13,7 +13,7 @@ import numpy as np
 
 from calflow.estimation.calibrated_model import CalibratedModel, expected_point, left_variance
 from calflow.estimation.error_model import of_parameters
-from calflow.estimation.leverage import beyond
+from calflow.estimation.extrapolation import beyond
 from calflow.files.deferred import pd
 from calflow.files.tables import column, to_frame
 from calflow.files.units import RADIAN

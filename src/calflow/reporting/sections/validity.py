@@ -16,7 +16,7 @@ from calflow.deployment.run_outcome import RunOutcome
 from calflow.deployment.usability import no_gain_words
 from calflow.design.candidates import candidates
 from calflow.estimation.calibrated_model import CalibratedModel, distance_moved, expected_point, promised_distance
-from calflow.estimation.leverage import beyond
+from calflow.estimation.extrapolation import beyond
 from calflow.files.deferred import pd
 from calflow.files.problems import InputError
 from calflow.files.toml import FileModel, Lengths3
