@@ -107,7 +107,8 @@ def true_structure(study: Study, h: Hidden, results: Results) -> Fitted:
     effects = [effect for effect in catalogue.effects if effect.id == h.cause]
     first = Screening(start.regressors(effects))
     trial = FittedTrial(first.family, first.degrees_of_freedom, start, catalogue)
-    best = trial.finest(next(score for score in first.scores if score.cause.joint == h.joint))
+    listed = next(score for score in first.scores if score.cause.joint == h.joint)
+    best = trial.finest(listed.cause, trial.causes) or listed
     point = np.concatenate([start.fit.estimate, best.estimate])
     return start.with_causes([best.cause], point, best.share)
 

@@ -19,9 +19,9 @@ from calflow.design.discrimination import ANY_MEANS, ENOUGH
 from calflow.design.measuring_order import reached
 from calflow.design.planned import Planned, Record
 from calflow.diagnosis import FALSE_ALARM
-from calflow.diagnosis.regressors import Candidate, H, Regressors, TallMatrix, candidates_of
+from calflow.diagnosis.regressors import Candidate, H, Place, Regressors, TallMatrix, candidates_of
 from calflow.diagnosis.screening import Catalogue, Family, Screening
-from calflow.diagnosis.stepwise import SHARES, WITHIN, Place
+from calflow.diagnosis.stepwise import SHARES, WITHIN
 from calflow.effects import Effect, effect_class
 from calflow.effects.base import Cause, NamedCause
 from calflow.estimation.probing import probed

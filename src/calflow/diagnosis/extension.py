@@ -14,7 +14,7 @@ from one Jacobian, without a refit.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain
@@ -25,9 +25,10 @@ import scipy
 
 from calflow.diagnosis.background import JOINTS, BackgroundBasis, Sizes, background, beside_background, uneven_causes
 from calflow.diagnosis.fitted import Fitted
-from calflow.diagnosis.regressors import Background, Regressors
+from calflow.diagnosis.regressors import Background, Place, Regressors
 from calflow.diagnosis.screening import Catalogue, Score, Screening
 from calflow.diagnosis.stepwise import (
+    FINER_STEPS,
     REACH,
     SPLIT,
     CauseAcceptance,
@@ -47,7 +48,6 @@ from calflow.estimation.leverage import halved
 from calflow.estimation.progress import Advance, nobody
 from calflow.estimation.variance_components import Amplitudes, refitted_cost, size_cost
 
-FINER_STEPS = 4  # refinements at most, of one inner unknown each, of a rival before it is fitted
 CLEARLY_FINER = 2.0  # least decrease of cost of a variant against its neighbour for another fit
 HALVINGS = 3  # which make eight blocks of each kind
 FEWEST_POSES = 2  # poses of a block
@@ -94,22 +94,13 @@ class FittedTrial(Trial[Cause]):
         start = np.concatenate([self.fitted.fit.estimate, added.estimate])
         return replace(self, fitted=self.fitted.with_causes(causes, start, added.explained))
 
-    def finest(self, score: Score[Cause]) -> Score[Cause]:
-        """Return the best variant of a cause that is not in the model, between its neighbours in the scan."""
-        return self._finest(score.cause, self.causes, steps=1) or score
-
-    def in_place(self, gone: Sequence[Cause], cause: Cause) -> Cause:
-        """Return the best form of a cause in the place of others, by successive refinement of the given form."""
-        finest = self._finest(cause, [other for other in self.causes if other not in gone], FINER_STEPS)
-        return finest.cause if finest else cause
-
-    def _finest(self, cause: Cause, others: Sequence[Cause], steps: int) -> Score[Cause] | None:
-        """Return the score of a cause's best form beside others; None where that is the given form."""
+    def finest(self, cause: Cause, beside: Sequence[Cause], steps: int = 1) -> Score[Cause] | None:
+        """Return the score of a cause's best form beside others, between its neighbours in the scan; None: the given form."""
         best = None
         for _ in range(steps):
             if not (finer := self._finer(cause)):
                 break
-            near = Linearisation.at(self.fitted, Catalogue((cause, *finer), {})).forms(others, cause.place)
+            near = Linearisation.at(self.fitted, Catalogue((cause, *finer), {})).forms(beside, cause.place)
             if not near or near[0].cause == cause:
                 break
             best, cause = near[0], near[0].cause
@@ -301,13 +292,10 @@ def carried_over(fitted: Fitted, cause: Cause, kinds: Sequence[Sequence[Regresso
     return CarriedOver(tuple(gains), p)
 
 
-Variants = dict[tuple[str, str], int]
-
-
 def unnamed(
     fitted: Fitted,
     basis: BackgroundBasis,
-    variants: Variants,
+    variants: Mapping[Place, int],
     same_in: Callable[[Cause], Collection[str]] = lambda cause: cause.effect.smooth_in,
 ) -> dict[Cause, float]:
     """Return twice the log evidence of each cause against a background in its place.
@@ -328,7 +316,7 @@ def unnamed(
     return evidence
 
 
-def _spent(fitted: Fitted, cause: Cause, variants: Variants) -> float:
+def _spent(fitted: Fitted, cause: Cause, variants: Mapping[Place, int]) -> float:
     """Return the cost of a cause for the forms that were tried, and for its size, beyond that of its normal prior."""
     columns = fitted.model.columns(cause)
     columns = columns[~fitted.fit.at_bound[columns]]
@@ -391,10 +379,10 @@ def _named_instead(
     trial = FittedTrial(search.first.family, search.first.degrees_of_freedom, beside, catalogue)
     scores = trial.linearisation.beside.scores
     passed = search.acceptance.passing(scores, search.first.family)
-    return trial.finest(passed[0]).cause if passed else None
+    return (trial.finest(passed[0].cause, trial.causes) or passed[0]).cause if passed else None
 
 
-def _weakest(fitted: Fitted, basis: BackgroundBasis, variants: Variants) -> Cause | None:
+def _weakest(fitted: Fitted, basis: BackgroundBasis, variants: Mapping[Place, int]) -> Cause | None:
     """Return the weakest cause that loses against a background, or else that does not carry over, if there is one.
 
     Along the inputs of which its family is a general smooth function, no unnamed error replaces it: that would be another member.
@@ -443,7 +431,7 @@ def _second_thought(best: Trial[Cause], tried: list[Trial[Cause]], search: Stepw
     return best
 
 
-def _judged(extension: Extended, basis: BackgroundBasis, variants: Variants) -> tuple[Detection[Cause], ...]:
+def _judged(extension: Extended, basis: BackgroundBasis, variants: Mapping[Place, int]) -> tuple[Detection[Cause], ...]:
     against, kinds = unnamed(extension.fitted, basis, variants), blocks_beside_background(extension.fitted, basis)
     return tuple(
         replace(

@@ -16,6 +16,7 @@ import numpy as np
 from calflow.diagnosis.fitted import Fitted
 from calflow.estimation.accuracy import distances, errors, judged_unit
 from calflow.estimation.lack_of_fit import SIGNIFICANT
+from calflow.files.deferred import pd
 from calflow.files.tables import column
 from calflow.files.units import METRE
 from calflow.files.words import rounded
@@ -142,7 +143,8 @@ def _worst(
     candidate: _Input, squared: np.ndarray, number: np.ndarray, poses: np.ndarray, rng: np.random.Generator
 ) -> _Worst | None:
     """Return an input's region with the largest residuals, None without any; rows of a pose are permuted together."""
-    groups = poses if _constant(candidate.values, poses) else np.arange(len(squared))
+    constant = (pd.Series(candidate.values).groupby(poses).nunique() == 1).all()
+    groups = poses if constant else np.arange(len(squared))
     _, first, group = np.unique(groups, return_index=True, return_inverse=True)
     inside = np.array([region[first] for region in candidate.regions()], dtype=bool).reshape(-1, len(first))
     size = inside.sum(axis=1)
@@ -184,12 +186,6 @@ def _inputs(fitted: Fitted) -> list[_Input]:
             break
     labels = [_Input(name, data.table[name].astype(str).to_numpy(object)) for name in LABELS if name in data.table]
     return inputs + [label for label in labels if len(set(label.values)) > 1]
-
-
-def _constant(values: np.ndarray, groups: np.ndarray) -> bool:
-    """Whether all rows of each group have the same value."""
-    _, first, group = np.unique(groups, return_index=True, return_inverse=True)
-    return bool((values == values[first][group]).all())
 
 
 def _region(candidate: _Input, inside: np.ndarray, fitted: Fitted) -> MisfitRegion:

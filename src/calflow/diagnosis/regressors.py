@@ -31,6 +31,8 @@ USUAL = 1e-3  # m, per axis: largest usual standard deviation of a robot's resid
 PASSES = 4  # over all rows per linearisation, on average
 POSE_FREEDOM = 6  # degrees of freedom of a pose's error, however many points are seen of it
 
+Place = tuple[str, str]  # of a cause: its id and part
+
 
 class Hypothesis(Protocol):
     """A possible cause in one of its forms. Two that are equal are the same cause in the same form."""
@@ -48,7 +50,7 @@ class Hypothesis(Protocol):
         """Number of the joint or link on which it acts, 0 for none."""
 
     @property
-    def place(self) -> tuple[str, str]:
+    def place(self) -> Place:
         """Id and part, which all its variants share."""
 
     @property

@@ -19,7 +19,7 @@ from typing import Generic
 import numpy as np
 import scipy
 
-from calflow.diagnosis.regressors import Candidate, H, Regressors
+from calflow.diagnosis.regressors import Candidate, H, Place, Regressors
 from calflow.effects import Effect, catalogue, effect_class
 from calflow.effects.base import parts
 from calflow.estimation.variance_components import LOG_PRIOR, SIZES, directions, explained, log_likelihood, mixed
@@ -44,7 +44,7 @@ class Catalogue:
     superseded: dict[str, str] = field(default_factory=dict)
 
     @cached_property
-    def variants(self) -> dict[tuple[str, str], int]:
+    def variants(self) -> dict[Place, int]:
         """Number of forms of each place."""
         return dict(Counter((effect.id, part) for effect in self.effects for part in parts(effect)))
 
@@ -126,7 +126,7 @@ class Family:
     is the share of chi² that a cause must explain, smaller with many points per pose, whose noise is unrelated to the robot.
     """
 
-    scans: dict[tuple[str, str], float]
+    scans: dict[Place, float]
     places: float
     material: float = MATERIAL
 
@@ -234,7 +234,7 @@ class Screening(Generic[H]):
         return float(r.residual @ r.residual + r.prior_rss - self._gradient @ self._gradient)
 
     @cached_property
-    def variants(self) -> dict[tuple[str, str], int]:
+    def variants(self) -> dict[Place, int]:
         """Number of candidates of each place."""
         return dict(Counter(candidate.cause.place for candidate in self.regressors.candidates))
 
@@ -372,12 +372,12 @@ class Screening(Generic[H]):
 
     def trials(
         self, score: np.ndarray, chi2: np.ndarray, family: Family, false_alarm: float
-    ) -> dict[tuple[str, str], tuple[np.ndarray, np.ndarray]]:
+    ) -> dict[Place, tuple[np.ndarray, np.ndarray]]:
         """Test all visible candidates at once for scores (n_columns, n_draws), given the model's chi² (n_draws,).
 
         Return each place's cost (n_draws,), its variants' evidence averaged, and whether any variant passes (n_draws,).
         """
-        variants: dict[tuple[str, str], list[tuple[np.ndarray, np.ndarray]]] = {}
+        variants: dict[Place, list[tuple[np.ndarray, np.ndarray]]] = {}
         for block in self._blocks:
             weighed, spent = self._weighed(block, score[block.columns], chi2), block.degrees_of_freedom
             places = [self.regressors.candidates[member].cause.place for member in block.members]
@@ -449,9 +449,9 @@ def _drawn(rng: np.random.Generator, n: int, precision: np.ndarray, count: int) 
     return signs, np.sqrt(precision)[:, None] * rng.standard_normal((len(precision), count))
 
 
-def by_place(scores: Sequence[Score[H]]) -> dict[tuple[str, str], tuple[float, Score[H]]]:
+def by_place(scores: Sequence[Score[H]]) -> dict[Place, tuple[float, Score[H]]]:
     """Return each place's cost, its variants' evidence averaged, and its best score."""
-    groups: dict[tuple[str, str], list[Score[H]]] = {}
+    groups: dict[Place, list[Score[H]]] = {}
     for score in scores:
         groups.setdefault(score.cause.place, []).append(score)
     places = {}
@@ -462,7 +462,7 @@ def by_place(scores: Sequence[Score[H]]) -> dict[tuple[str, str], tuple[float, S
     return places
 
 
-def place_probabilities(places: Mapping[tuple[str, str], tuple[float, Score]]) -> dict[tuple[str, str], float]:
+def place_probabilities(places: Mapping[Place, tuple[float, Score]]) -> dict[Place, float]:
     """Return each place's probability against the others and none, which is a priori as probable as all places together."""
     logs = [-cost / 2 for cost, _ in places.values()]
     return dict(zip(places, scipy.special.softmax([*logs, np.log(max(len(places), 1))]).tolist(), strict=False))

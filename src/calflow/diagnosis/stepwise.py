@@ -29,7 +29,7 @@ from typing import Any, Generic, Self
 import numpy as np
 
 from calflow.diagnosis.fitted import Fitted
-from calflow.diagnosis.regressors import Candidate, H, Regressors
+from calflow.diagnosis.regressors import Candidate, H, Place, Regressors
 from calflow.diagnosis.screening import INVISIBLE, Catalogue, Family, Score, Screening, by_place, f_test
 from calflow.effects.base import Cause
 from calflow.estimation.variance_components import LOG_PRIOR, SIZES, directions, explained, log_likelihood, mixed
@@ -47,10 +47,8 @@ WORTH = WITHIN  # cost: smaller doubts do not decide anything
 CLEAR = 1e-3  # share of the false-alarm rate below which the correction for tests need not be recomputed
 STEP_SHARE = 0.2  # progress of a step as a share of the remaining search, whose length is unknown
 MOST_TRIALS = 60  # models that are fitted in all: a search that needs more is cyclic
+FINER_STEPS = 4  # refinements at most, of one inner unknown each, of a rival before it is fitted
 ENTANGLED = 3  # causes, the last found, that are exchanged in pairs
-
-
-Place = tuple[str, str]  # of a cause: its id and part
 
 
 @dataclass(frozen=True)
@@ -177,7 +175,7 @@ class Linearisation(Generic[H]):
 
 def _besides(candidates: Sequence[Candidate[H]], causes: Sequence[H]) -> tuple[Candidate[H], ...]:
     """Return the candidates that are not forms of these causes."""
-    acting: dict[tuple[str, str], list[H]] = {}
+    acting: dict[Place, list[H]] = {}
     for cause in causes:
         acting.setdefault(cause.place, []).append(cause)
     return tuple(
@@ -220,13 +218,14 @@ class Trial(ABC, Generic[H]):
     def with_causes(self, causes: Sequence[H], added: Score[H] | None = None) -> Self:
         """Return the model fitted with these causes instead; added is the score of the last one, if it is new."""
 
-    def finest(self, score: Score[H]) -> Score[H]:
-        """Return the best form of a cause that is not in the model, refined between the variants of its scan."""
-        return score
+    def finest(self, cause: H, beside: Sequence[H], steps: int = 1) -> Score[H] | None:
+        """Return the score of a cause's best form beside others, refined step by step; None: the given form."""
+        return None
 
     def in_place(self, gone: Sequence[H], cause: H) -> H:
         """Return the best form of a cause in the place of others, by which a rival is judged."""
-        return cause
+        finest = self.finest(cause, [other for other in self.causes if other not in gone], FINER_STEPS)
+        return finest.cause if finest else cause
 
     def weighed_in_place(self, finding: Detection[H]) -> Detection[H]:
         """Return a finding with its near rivals scored at zero amplitude of the cause, where they may have no effect."""
@@ -341,7 +340,7 @@ class Exchange(Generic[H]):
     @staticmethod
     def of(screening: Screening[H], family: Family, gone: Sequence[H]) -> Exchange[H]:
         """Return the exchange with the best variants of every place, and the removed causes."""
-        seen: Counter[tuple[str, str]] = Counter()
+        seen: Counter[Place] = Counter()
         few = []
         for score in screening.scores:
             seen[score.cause.place] += 1
@@ -616,7 +615,7 @@ class Stepwise(Generic[H]):
             now = trial.linearisation.screened(self.rng)  # with the correction for this model's residual
             passed = self.acceptance.passing(now.scores, now.family)
         if passed:
-            best = trial.finest(passed[0])
+            best = trial.finest(passed[0].cause, trial.causes) or passed[0]
             message = f"{words(best.cause)}: chi2 falls by {best.drop:.4g}, p = {now.family.p(best):.2g}"
             yield Proposal([*trial.causes, best.cause], message, best, best.cost)
 

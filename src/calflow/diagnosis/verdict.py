@@ -23,7 +23,7 @@ import scipy
 
 from calflow.diagnosis.extension import Extended
 from calflow.diagnosis.fitted import Fitted
-from calflow.diagnosis.regressors import H, Hypothesis
+from calflow.diagnosis.regressors import H, Hypothesis, Place
 from calflow.diagnosis.screening import Catalogue, Score
 from calflow.diagnosis.stepwise import REACH, WITHIN, Detection
 from calflow.effects.base import UNEXPLAINED, Cause, NamedCause
@@ -237,7 +237,7 @@ def models_in_reach(
     return tuple(replace(model, log_prior=log_prior(model.causes)) for model in models)
 
 
-def rivals_shown(findings: Sequence[Detection[Cause]], beside: Sequence[Score[Cause]]) -> dict[tuple[str, str], Cause]:
+def rivals_shown(findings: Sequence[Detection[Cause]], beside: Sequence[Score[Cause]]) -> dict[Place, Cause]:
     """Return the places that the data can show, in place of a finding or beside it, each with a cause there."""
     scores = [*beside, *(score for finding in findings for score in finding.scores)]
     return {score.cause.place: score.cause for score in scores}
