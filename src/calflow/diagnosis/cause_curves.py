@@ -57,19 +57,16 @@ def curves(final: Fitted, causes: Sequence[Cause], data: Measurements) -> pd.Dat
     unit = judged_unit(leading_units(data))
     lengths = unit.scale if unit == METRE else np.nan
     blocks = []
-    for effect in model.effects:
-        if effect not in causes:
-            continue
-        columns = model.columns(effect)
-        assert isinstance(effect, Cause)
+    for cause in final.causes:
+        columns = model.columns(cause)
         moved = jacobian[:, :, columns] @ estimate[columns]
-        lever = levers[:, :, effect.joint - 1] if effect.joint else None
+        lever = levers[:, :, cause.joint - 1] if cause.joint else None
         along = _acting_along(jacobian[:, :, columns], estimate[columns], lever)
-        variable = effect.effect.variable(effect.joint)
+        variable = cause.effect.variable(cause.joint)
         after, fitted = (np.einsum("ra,ra->r", part, along) for part in (left, moved))
         block = {
-            "finding": causes.index(effect) + 1, "cause": effect.id, "joint": effect.joint or None,
-            "variable": variable.label, "variable_unit": variable.unit, "x": _variable_values(model, effect, variable, data),
+            "finding": causes.index(cause) + 1, "cause": cause.id, "joint": cause.joint or None,
+            "variable": variable.label, "variable_unit": variable.unit, "x": _variable_values(model, cause, variable, data),
             "before_mm": lengths * (after + fitted), "after_mm": lengths * after, "fitted_mm": lengths * fitted,
             "before": unit.shown(after + fitted), "after": unit.shown(after), "fitted": unit.shown(fitted),
             "error_unit": unit.label,

@@ -260,8 +260,9 @@ def blocks_beside_background(fitted: Fitted, basis: BackgroundBasis) -> list[lis
     Otherwise a smooth error several times as large as the noise would decide whether a cause gains.
     """
     row, left, regressors = fitted.problem.stacking.row, background(fitted, basis), fitted.alone
-    if left is not None:
-        regressors = regressors.with_amplitudes(left.correlation(fitted.problem.weight))
+    if left is not None:  # its amplitudes are further parameters, of their normal prior
+        errors = left.correlation(fitted.problem.weight)
+        regressors = regressors.with_parameters(errors.modes * np.sqrt(errors.variance), np.ones(len(errors.variance)))
     return [regressors.split(kind[row]) for kind in pose_blocks(fitted)]
 
 

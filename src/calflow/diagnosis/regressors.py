@@ -293,13 +293,7 @@ class Regressors(Generic[H]):
         """The inner products over all rows."""
         return self.added_up or RegressorProducts.of(self)
 
-    def with_amplitudes(self, correlation: ErrorCorrelation) -> Regressors[H]:
-        """Return the independent residuals with a background's amplitudes as further parameters, of their normal prior."""
-        return self._with_parameters(
-            correlation.modes * np.sqrt(correlation.variance), np.ones(len(correlation.variance))
-        )
-
-    def _with_parameters(self, columns: np.ndarray, precision: np.ndarray) -> Regressors[H]:
+    def with_parameters(self, columns: np.ndarray, precision: np.ndarray) -> Regressors[H]:
         """Return the model with further free parameters, still at zero, by their columns (n, n_more) and priors (n_more,)."""
         return replace(
             self,
@@ -393,7 +387,7 @@ class Regressors(Generic[H]):
         """Return the regressors of the model with some columns as additional free parameters, still at zero."""
         taken = np.zeros((self.matrix.shape[1], len(columns)))
         taken[columns, np.arange(len(columns))] = 1.0
-        return self._with_parameters(self.matrix.times(taken), self.prior_sd[columns] ** -2.0)
+        return self.with_parameters(self.matrix.times(taken), self.prior_sd[columns] ** -2.0)
 
 
 def candidates_of(effects: Sequence[Effect]) -> tuple[Candidate[Cause], ...]:

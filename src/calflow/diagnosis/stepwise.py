@@ -29,7 +29,7 @@ from typing import Any, Generic, Self
 import numpy as np
 
 from calflow.diagnosis.fitted import Fitted
-from calflow.diagnosis.regressors import Candidate, H, Place, Regressors
+from calflow.diagnosis.regressors import H, Place, Regressors
 from calflow.diagnosis.screening import INVISIBLE, Catalogue, Family, Score, Screening, by_place, f_test
 from calflow.effects.base import Cause
 from calflow.estimation.variance_components import LOG_PRIOR, SIZES, directions, explained, log_likelihood, mixed
@@ -138,7 +138,11 @@ class Linearisation(Generic[H]):
         come = [c.columns for c in regressors.candidates if c.cause in causes and c.cause not in self.causes]
         if come:
             regressors = regressors.taking(np.concatenate(come))
-        return Screening(regressors.only(_besides(regressors.candidates, causes)))
+        places = {cause.place for cause in causes}
+        others = (
+            c for c in regressors.candidates if c.cause.place not in places or not any(map(c.cause.same_form, causes))
+        )
+        return Screening(regressors.only(tuple(others)))
 
     def apart(self, gone: Sequence[H]) -> Screening[H]:
         """Return the tests of all candidates with some causes removed, beside the others."""
@@ -171,16 +175,6 @@ class Linearisation(Generic[H]):
         scores = self.forms([other for other in self.causes if other not in gone], cause.place)
         own = [score.cost for score in scores if score.cause == cause]
         return min(own or (score.cost for score in scores), default=0.0)
-
-
-def _besides(candidates: Sequence[Candidate[H]], causes: Sequence[H]) -> tuple[Candidate[H], ...]:
-    """Return the candidates that are not forms of these causes."""
-    acting: dict[Place, list[H]] = {}
-    for cause in causes:
-        acting.setdefault(cause.place, []).append(cause)
-    return tuple(
-        c for c in candidates if not any(c.cause.same_form(present) for present in acting.get(c.cause.place, ()))
-    )
 
 
 @dataclass(frozen=True)
