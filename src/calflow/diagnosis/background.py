@@ -245,16 +245,16 @@ def background(fitted: Fitted, basis: BackgroundBasis, without: Collection[str] 
 
 
 def components_beside(
-    regressors: Regressors[Cause], modes: np.ndarray, parts: Sequence[np.ndarray], smooth: int
+    regressors: Regressors[Cause], modes: np.ndarray, smooth: Sequence[np.ndarray], others: Sequence[np.ndarray]
 ) -> tuple[Screening[Cause], VarianceComponents]:
-    """Return the screening of a linearised model and the variance components beside it; the first `smooth` parts are in modes."""
-    held = TallMatrix.held(np.hstack([modes, *parts[smooth:]]))
+    """Return the screening of a linearised model and the variance components beside it, of smooth parts in modes and of others."""
+    held = TallMatrix.held(np.hstack([modes, *others]))
     seen = Screening(replace(regressors, candidates=()).moving(held))
     shown = seen.information(np.arange(held.shape[1]))
     # Smooth parts are given in modes; the others, which have many columns but few poses, enter by their products as they are.
-    n, waves = modes.shape[1], np.hstack(parts[:smooth])
+    n, waves = modes.shape[1], np.hstack(smooth)
     both = waves.T @ shown[:n, n:]
-    number = [functions.shape[1] for functions in parts]
+    number = [functions.shape[1] for functions in (*smooth, *others)]
     components = VarianceComponents(
         np.repeat(np.arange(len(number)), number),
         len(number),
@@ -297,7 +297,7 @@ class Sizes:
     ) -> Sizes:
         """Return the components beside linearised parameters, which are integrated out; unevenly as of `uneven_causes`."""
         modes = basis.weighed(problem)
-        seen, components = components_beside(regressors, modes, (*basis.parts, *unevenly), len(basis.parts))
+        seen, components = components_beside(regressors, modes, basis.parts, unevenly)
         return Sizes(basis, problem, modes, seen.narrowed, components)
 
     def accepted(self, without: Collection[str] = ()) -> np.ndarray:

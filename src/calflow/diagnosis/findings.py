@@ -16,7 +16,6 @@ from calflow.diagnosis.diagnosis import Diagnosis
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.misfit import Misfit
 from calflow.diagnosis.noise_growth import RANGE, Growth
-from calflow.diagnosis.stepwise import kindred
 from calflow.diagnosis.unexplained import POSE, UnexplainedStructure, is_any_error_along, predicted
 from calflow.diagnosis.verdict import SIZE, Rival, Verdict, found_amplitude, named
 from calflow.effects import catalogue
@@ -335,10 +334,10 @@ def _gained(
 
 def _kept_together(causes: Sequence[Cause]) -> list[list[int]]:
     """Return the causes' indices in the order found, those of one family at one place grouped."""
-    curves = [cause for cause in causes if cause.effect.named_in()]
-    kin = {id(cause): members for members in kindred(curves).values() for cause in members}
-    members = [[causes.index(member) for member in kin.get(id(cause), [cause])] for cause in causes]
-    return [members for k, members in enumerate(members) if members[0] == k]
+    groups: dict[object, list[int]] = {}
+    for k, cause in enumerate(causes):
+        groups.setdefault((cause.family, cause.joint) if cause.effect.named_in() else k, []).append(k)
+    return list(groups.values())
 
 
 def _together(rows: Sequence[Finding], verdicts: Sequence[Verdict]) -> Finding:

@@ -13,7 +13,7 @@ out. Their uncertainty limits the degrees of freedom of tests (Satterthwaite 194
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
@@ -203,27 +203,27 @@ class LikelyErrors(SerialErrors):
             design: unwhitened Jacobian by the fitted parameters, scaled by their priors, (n, n_fitted).
             columns: unwhitened regressors (n, n_columns).
         """
-        level, less, more = self._level_slopes, *self._beside
-        shown = [[self._visible(errors, design, columns) for errors in side] for side in (less, more)]
-        return self._satterthwaite(level[:, None] - np.log(np.divide(shown[1], shown[0])) / (2 * STEP))
+        shown = self._log_slopes(lambda errors: self._visible(errors, design, columns))
+        return self._satterthwaite(self._level_slopes[:, None] - shown)
 
     @property
     def level_degrees_of_freedom(self) -> float:
         """Degrees of freedom of the errors' variance."""
         return float(self._satterthwaite(self._level_slopes[:, None])[0])
 
-    @property
-    def _beside(self) -> tuple[list[SerialErrors], list[SerialErrors]]:
-        """The errors with each figure decreased by a step, and increased by one."""
-        less, more = ([SerialErrors(self.order, self.figures + step) for step in side * np.eye(len(self.figures))]
-                      for side in (-STEP, STEP))  # fmt: skip
-        return less, more
-
     @cached_property
     def _level_slopes(self) -> np.ndarray:
         """Derivative of the log maximum-likelihood variance by each figure, (n_figures,)."""
-        less, more = ([np.log(self.likelihood.variance(errors)) for errors in side] for side in self._beside)
-        return (np.array(more) - less) / (2 * STEP)
+        return self._log_slopes(self.likelihood.variance)
+
+    def _log_slopes(self, value: Callable[[SerialErrors], np.ndarray | float]) -> np.ndarray:
+        """Return the derivative by each figure of the logarithm of a value of the errors, (n_figures, …)."""
+        steps = STEP * np.eye(len(self.figures))
+        less, more = (
+            np.log(np.array([value(SerialErrors(self.order, figures)) for figures in self.figures + side]))
+            for side in (-steps, steps)
+        )
+        return np.asarray((more - less) / (2 * STEP))
 
     def _satterthwaite(self, slopes: np.ndarray) -> np.ndarray:
         """Return the degrees of freedom of variances whose logarithms have slopes (n_figures, n_variances)."""

@@ -123,10 +123,9 @@ def unexplained(
     """
     accepted: list[UnexplainedStructure] = []
     surest = sorted(at_rest, key=lambda structure: structure.p)
+    seen_beside = replace(fitted, background=beside, shared=0.0)
     alone = beside is not None and surest[0].p < significance
-    if alone and any(part.p < significance for part in _single(replace(fitted, background=beside, shared=0.0), rng)):
-        alone = False
-    if not alone:
+    if not alone or any(part.p < significance for part in _single(seen_beside, rng)):
         surest = [*_single(replace(fitted, background=None), rng), *_together(fitted), *_of_poses(fitted)]
     for structure in surest:
         if structure.p >= significance or structure.share < MATERIAL or len(accepted) == MOST_PARTS:
@@ -319,8 +318,8 @@ class Standstills:
         some = replace(whole, residual=whole.residual[rows], jacobian=whole.jacobian[rows], added_up=None)
         squared = (leading * ways / weight[rows, None]) ** 2
         reach = np.sqrt(squared.sum(axis=0) / len(np.unique(stacking.row[rows])))
-        modes, parts = basis.weighed(apart.problem)[rows], (*basis.parts, *unevenly, *functions)
-        components = components_beside(some, modes, parts, len(basis.parts))[1]
+        modes = basis.weighed(apart.problem)[rows]
+        components = components_beside(some, modes, basis.parts, [*unevenly, *functions])[1]
         return Standstills(apart, components, np.array(functions[:n]), reach)
 
     @cached_property
