@@ -95,7 +95,13 @@ def check_poses_command(study_or_run: Path, rows: Path, number: int, out: Path |
 @click.command("validate", cls=ArgumentCommand)
 @click.argument("study_or_run", type=FILE)
 @click.argument("rows", metavar="NEW.csv", type=FILE)
+@click.option("--tolerance", type=NUMBER, help="As --tolerance-mm, in the unit of what was measured: px, mrad, N, …")
 @click.option("--tolerance-mm", type=NUMBER, help="The largest error that a pose may have; asks for a verdict.")
+@click.option(
+    "--series",
+    default="",
+    help="Name or kind of the series that NEW.csv is of, if the study has several; by default the first that it fits.",
+)
 @click.option(
     "--task",
     type=int,
@@ -112,13 +118,15 @@ def check_poses_command(study_or_run: Path, rows: Path, number: int, out: Path |
     "--out", type=FILE, help="Folder for tables and report; validate/<name of NEW.csv> in the run folder by default."
 )
 def validate_command(
-    study_or_run: Path, rows: Path, out: Path | None, tolerance_mm: float | None, **asked: Any
-) -> None:
+    study_or_run: Path, rows: Path, out: Path | None, tolerance_mm: float | None, tolerance: float | None, series: str,
+    **asked: Any,
+) -> None:  # fmt: skip
     """Validate the calibrated robot with NEW.csv, measurements to which it was not fitted.
 
     Give the run's folder, or its study. Exit code: 0 if the tolerance is met (or none is asked for), 3 if it is not, 4
     if these poses cannot tell.
     """
+    from calflow.deployment.attained import unit_of
     from calflow.files.problems import refuse
     from calflow.files.writing import inside
     from calflow.reporting.validation_report import validation_report, verdict_lines
@@ -126,12 +134,13 @@ def validate_command(
     from calflow.runs.kept import keep
 
     folder = out or inside(run_folder(study_or_run), f"validate/{rows.stem}")
-    tolerance = None if tolerance_mm is None else tolerance_mm / 1e3
     calibration = cf.Calibration.load(study_or_run)
-    data = cf.rows_measured(calibration, rows)
-    if tolerance is not None and not data.has_positions:
-        raise refuse("these rows are not judged in mm: give their tolerance from Python", key="tolerance")
-    validation = calibration.validate(data, tolerance=tolerance, **asked)
+    data = cf.rows_measured(calibration, rows, series)
+    unit = unit_of(data)
+    if tolerance_mm is not None and unit.label != "mm":
+        raise refuse(f"these rows are judged in {unit.label}: expected --tolerance in that unit", key="tolerance")
+    shown = tolerance if tolerance_mm is None else tolerance_mm
+    validation = calibration.validate(data, tolerance=None if shown is None else shown / unit.scale, **asked)
     title = calibration.title
     keep(folder, validation, title, lambda: validation_report(validation, title, rows.name))
     say(*verdict_lines(validation))

@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calflow.deployment.figures_alone import FiguresAlone
-from calflow.estimation.accuracy import errors, judged_unit
+from calflow.estimation.accuracy import judged_unit
 from calflow.estimation.calibrated_model import (
     CalibratedModel,
+    errors_in_unit,
     expected_point,
     position_variance,
     shared_errors,
-    variance_in_unit,
 )
 from calflow.estimation.noise import conditions, members
 from calflow.files.deferred import Rotation, pd
@@ -156,6 +156,12 @@ def cube_edge(points: np.ndarray) -> float:
     return edge if right else float("nan")
 
 
+def unit_of(data: Measurements) -> MeasurementUnit:
+    """Return the unit in which rows are judged."""
+    units = leading_units(data)
+    return judged_unit([units[k] for k in np.unique(data.series_number)])
+
+
 @dataclass(frozen=True)
 class Attained:
     """Points, each measured once or several times under the same conditions (attained poses of ISO 9283).
@@ -165,8 +171,9 @@ class Attained:
     independent standard normals; apart (n,) [m]: standard deviation of the length of each point's independent error,
     device noise included; noise (n,) [m]: device noise per axis; repeatability (n,) [m]: RP; turns: orientations.
 
-    Without measured positions all of these are in `unit`: measured and expected are then relative to the calibrated
-    model's prediction, with as many columns as a row has values.
+    Without measured positions (in_space) all of these are in `unit`: measured and expected are then relative to the
+    calibrated model's prediction, with as many columns as a row has values, and there is no repeatability. taken: degrees
+    of freedom of new objects (a socket, a surface), which these rows place; values: number of values of a pose, on average.
     """
 
     table: pd.DataFrame
@@ -178,6 +185,9 @@ class Attained:
     repeatability: np.ndarray
     turns: AttainedTurns | None
     unit: MeasurementUnit = METRE
+    in_space: bool = True
+    taken: int = 0
+    values: float = 3.0
 
     @staticmethod
     def of(calibrated: CalibratedModel, data: Measurements, figures: FiguresAlone | None = None) -> Attained:
@@ -216,23 +226,28 @@ class Attained:
     @staticmethod
     def in_its_unit(calibrated: CalibratedModel, data: Measurements) -> Attained:
         """Return the points of the series that report in the unit in which their model is judged."""
-        unit = judged_unit(leading_units(data))
+        unit = unit_of(data)
         stated, noise = data.stating(calibrated.model.given), calibrated.noise(data)
-        estimates = {NOMINAL: calibrated.model.nominal, CALIBRATED: calibrated.estimate}
-        every = {name: errors(calibrated.model, p, stated, unit) for name, p in estimates.items()}
-        rows = np.isfinite(every[CALIBRATED]).any(axis=1)
-        off = {name: np.nan_to_num(values[rows]) for name, values in every.items()}
+        found = errors_in_unit(calibrated, stated, unit)
+        nominal = errors_in_unit(replace(calibrated, estimate=calibrated.model.nominal), stated, unit)
+        values = np.isfinite(found.error).sum(axis=1)
+        rows = values > 0
+        if not rows.any():
+            raise refuse(
+                "expected more rows of each object than it takes to place it: none of these shows an error", key="data"
+            )
+        off = {NOMINAL: np.nan_to_num(nominal.error[rows]), CALIBRATED: np.nan_to_num(found.error[rows])}
         table, group, mean = _points(data.only(rows))
         count = table["rows"].to_numpy()
-        values = np.isfinite(every[CALIBRATED]).sum(axis=1)
         device = noise.sigma[rows] if calibrated.noise_known else np.zeros(rows.sum())
         of_device = np.sqrt(np.bincount(group, weights=device**2)) / count
-        variance = mean(variance_in_unit(calibrated, stated, unit, values)[rows, None])[:, 0]
+        variance = mean(found.variance[rows, None])[:, 0]
         expected = {name: mean(errors_of - off[CALIBRATED]) for name, errors_of in off.items()}
         return Attained(
             table, -mean(off[CALIBRATED]), expected, np.zeros((len(table), off[CALIBRATED].shape[1], 0)),
             np.sqrt(variance + mean(values[rows, None])[:, 0] * of_device**2), of_device,
-            np.array([pose_repeatability(off[CALIBRATED][k]) for k in members(group)]), None, unit,
+            np.full(len(table), np.nan), None, unit, in_space=False,
+            taken=found.taken, values=float(values.sum() / data.table["pose"].nunique()),
         )  # fmt: skip
 
     @property
@@ -319,6 +334,10 @@ class Attained:
     def in_mm(self, value: float) -> float:
         """Return a value in the unit of measurement in mm; nan where that is not a length."""
         return 1e3 * float(value) if self.unit == METRE else float("nan")
+
+    def position_in_mm(self, value: float) -> float:
+        """Return a value of measured positions [m] in mm; nan where none were measured."""
+        return self.in_mm(value) if self.in_space else float("nan")
 
     def by_pose(self, values: np.ndarray, how: str) -> np.ndarray:
         """Return the mean or maximum of values (n,) over each pose, shape (n_poses,)."""

@@ -90,7 +90,10 @@ class ValidatedPose:
     promised_mm: float = column(
         "predicted standard deviation of the calibrated distance, or of that by the controller's figures", "mm"
     )
-    dx_mm: float = column("measured minus expected position of what is judged, along the measuring frame's x", "mm")
+    dx_mm: float = column(
+        "measured minus expected position of what is judged, along the measuring frame's x; empty: no position was measured",
+        "mm",
+    )
     dy_mm: float = column("the same along y", "mm")
     dz_mm: float = column("the same along z", "mm")
     rp_mm: float = column("pose repeatability RP; empty: measured once", "mm")
@@ -134,7 +137,7 @@ class ValidationSummary:
         "whether the device stood where the calibration's did, or its frame was fitted"
     )
     frames: int = column("frames that were fitted: one a session")
-    freedom_lost: int = column("degrees of freedom of the fitted frames")
+    freedom_lost: int = column("degrees of freedom of the fitted frames, and of new objects that these rows place")
     moved_mm: float | None = column("how far the fitted frame is from the calibration's at these points; of a known one, how far a "
                                     "rigid motion would take them; null: too few poses to tell", "mm")  # fmt: skip
     turned_mrad: float | None = column("rotation of that motion", "mrad")
@@ -147,8 +150,10 @@ class ValidationSummary:
     promised_mm: float = column(
         "root mean square error that the calibration predicts for these poses, noise included", "mm"
     )
-    ap_mm: float = column("pose accuracy AP of the worst pose", "mm")
-    rp_mm: float | None = column("pose repeatability RP of the worst pose; null: none was measured twice", "mm")
+    ap_mm: float = column("pose accuracy AP of the worst pose; NaN: no positions were measured", "mm")
+    rp_mm: float | None = column(
+        "pose repeatability RP of the worst pose; null: none was measured twice, or no positions", "mm"
+    )
     fewest_cycles: int = column("smallest number of cycles of a pose; the standard has 30")
     cube_edge_mm: float | None = column(
         "edge of ISO 9283's cube in whose plane the five poses lie; null: they are no such poses", "mm"
@@ -160,6 +165,11 @@ class ValidationSummary:
     noise: float | None = column("as noise_mm, in `unit`")
     promised: float = column("as promised_mm, in `unit`")
     notes: tuple[str, ...] = column("what was assumed, and what to look at", default=())
+
+    @property
+    def of_positions(self) -> bool:
+        """Whether positions were measured, which ISO 9283 is about, and not lengths, pixels or angles."""
+        return not np.isnan(self.ap_mm)
 
 
 @dataclass(frozen=True)
@@ -199,8 +209,8 @@ def validate(
 
     Args:
         calibrated: the calibrated model.
-        data: the rows: positions or poses, in the calibration's frame or any other, or other observations, which are
-            judged in their own unit.
+        data: the rows: positions or poses, in the calibration's frame or any other, or other observations, whose
+            residuals are judged in their own unit.
         tolerance: largest error of a pose [m, or the unit that is judged: rad, px, N].
         task: number of poses that must all be within, which then decides instead of a further pose.
         confidence: the probability that the verdict "met" requires.
@@ -262,7 +272,7 @@ def stands(attained: Attained, station: Station) -> tuple[np.ndarray, tuple[Alig
     A session with too few points has no motion, and counts as known unless all are to be fitted.
     """
     of_frame = [attained.frame == k for k in range(attained.frame.max() + 1)]
-    if attained.unit != METRE:  # a frame is fitted to positions alone
+    if not attained.in_space:  # a frame is fitted to positions alone
         return np.zeros(len(of_frame), dtype=bool), ()
     able = np.array([station == "fitted" or can_align(attained.measured[rows]) for rows in of_frame])
     frames = attained.alignment(CALIBRATED, able)
@@ -307,13 +317,14 @@ class _Comparison:
 
     @property
     def freedom_lost(self) -> int:
-        """Degrees of freedom of the fitted frames."""
-        return FREEDOM * int(self.fitted.sum())
+        """Degrees of freedom of the fitted frames, and of new objects."""
+        return FREEDOM * int(self.fitted.sum()) + self.attained.taken
 
     def further(self, model: str) -> Errors:
-        """Return the predictive distribution of further poses' largest errors; a fitted frame counts as a pose less."""
+        """Return the predictive distribution of further poses' largest errors; what is fitted counts as fewer poses."""
         size = np.linalg.norm(self.attained.errors_of_further(model, self.fitted), axis=1)
-        return Errors.of(self.attained.by_pose(size, "max"), int(self.fitted.sum()))
+        fewer = int(self.fitted.sum()) + int(np.ceil(self.attained.taken / self.attained.values))
+        return Errors.of(self.attained.by_pose(size, "max"), fewer)
 
     @property
     def motions(self) -> list[tuple[float, float]]:
@@ -345,7 +356,7 @@ class _Comparison:
         """Return mean, root mean square and largest error over poses, with the bound of a further pose."""
         attained, size = self.attained, self.size[model]
         of_pose = attained.by_pose(size, "mean")
-        n = len(of_pose) - self.freedom_lost / COORDINATES
+        n = len(of_pose) - self.freedom_lost / attained.values
         mean, low, high = _interval(of_pose, n)
         square, least, most = _interval(of_pose**2, n)
         further = self.further(model).reached_by(CONFIDENCE)
@@ -366,7 +377,7 @@ class _Comparison:
         turned = turns.errors(CALIBRATED, frames, attained.frame) if turns else None
         rows = []
         for k, labels in enumerate(attained.table.to_dict("records")):
-            dx, dy, dz = (attained.in_mm(value) for value in self.error[self.judged][k][:3])
+            dx, dy, dz = (attained.position_in_mm(value) for value in self.error[self.judged][k][:3])
             rows.append(
                 ValidatedPose(
                     pose=str(labels["pose"]), marker=str(labels["marker"]), payload=str(labels["payload"]),
@@ -403,7 +414,12 @@ class _Comparison:
         if far or calibrated > nominal:
             than = "any calibrated robot" if far else "the nominal one"
             notes.append(f"the calibrated robot errs by more than {than}: {OF_THE_SAME}")
-        repeated = self.attained.table["rows"].min()
+        if self.attained.taken:
+            notes.append(
+                f"sockets, surfaces or sessions that the calibration did not have were placed by these rows, which took "
+                f"{self.attained.taken} degrees of freedom: they are judged by how well their rows agree"
+            )
+        repeated = self.attained.table["rows"].min() if self.attained.in_space else 1
         if 1 < repeated < CYCLES:
             notes.append(f"ISO 9283 has each pose attained {CYCLES} times; here the fewest is {repeated}")
         if repeated > 1:
@@ -429,10 +445,10 @@ def _summary(
         moved_mm=max((1e3 * far for far, _ in motions), default=None),
         turned_mrad=max((1e3 * angle for _, angle in motions), default=None), moved_p=compared.moved_p,
         noise_mm=None if noise is None else _or_none(in_mm(noise)), promised_mm=in_mm(promised),
-        ap_mm=in_mm(float(compared.size[compared.judged].max())),
+        ap_mm=attained.position_in_mm(compared.size[compared.judged].max()),
         rp_mm=_or_none(in_mm(_largest(attained.repeatability))), fewest_cycles=int(attained.table["rows"].min()),
-        cube_edge_mm=_or_none(in_mm(cube_edge(attained.expected[CALIBRATED][first]))), unit=attained.unit.label,
-        tolerance=None, noise=None if noise is None else shown(noise), promised=shown(promised),
+        cube_edge_mm=_or_none(attained.position_in_mm(cube_edge(attained.expected[CALIBRATED][first]))),
+        unit=attained.unit.label, tolerance=None, noise=None if noise is None else shown(noise), promised=shown(promised),
     )  # fmt: skip
 
 

@@ -204,12 +204,15 @@ def _observed_series(model: Model, measured: Measurements) -> list[_ObservedSeri
     for k, observation in enumerate(model.observations):
         rows = np.flatnonzero(measured.of_series(k))
         table = measured.table.iloc[rows]
-        seen = _ObservedSeries(observation, rows, table, measured.conditions[:, rows], observation.reported(table))
+        reported = observation.reported(table) if len(rows) else np.zeros((observation.reports, 0))
+        seen = _ObservedSeries(observation, rows, table, measured.conditions[:, rows], reported)
         steps.append(seen)
     return steps
 
 
-def error_jacobian(model: Model, estimate: np.ndarray, measured: Measurements) -> np.ndarray:
+def error_jacobian(
+    model: Model, estimate: np.ndarray, measured: Measurements, unit: MeasurementUnit | None = None
+) -> np.ndarray:
     """Return the Jacobian of `errors`, shape (n_rows, 3 or more, n_parameters), zero where `errors` has nan."""
     model = observing(model, measured)
     jacobian = np.zeros((len(measured), _widest(model), len(estimate)))
@@ -218,7 +221,7 @@ def error_jacobian(model: Model, estimate: np.ndarray, measured: Measurements) -
         slope = model.observed_jacobian(seen.observation, estimate, seen.conditions, seen.reported)
         turned = _turned(seen, model, estimate, slope[:, leading])
         jacobian[seen.rows[:, None], np.arange(len(leading))] = turned
-    return np.nan_to_num(_masked(jacobian, measured))
+    return np.nan_to_num(_masked(jacobian, measured, unit))
 
 
 def _leading(observation: Observation) -> list[int]:

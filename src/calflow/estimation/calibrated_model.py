@@ -14,7 +14,7 @@ import numpy as np
 
 from calflow.effects import Effect
 from calflow.effects.base import Carried, Cause
-from calflow.estimation.accuracy import error_jacobian, errors, judged_unit
+from calflow.estimation.accuracy import completed, error_jacobian, errors, judged_unit
 from calflow.estimation.error_model import ErrorModel, of_parameters
 from calflow.estimation.least_squares import Loss
 from calflow.estimation.needed_conditions import NeededCondition
@@ -26,6 +26,7 @@ from calflow.model import Model
 
 MANY = 20  # parameters of one cause, beyond which sampling them would take days without further insight
 PART_ROWS = 100_000  # rows whose Jacobian is evaluated at once: enough for compiled code to pay
+RANK = 1e-9  # relative size below which a singular value, or what a fit leaves of a value, is rounding
 UNMEASURED = 0.5  # posterior over prior variance of a direction, above which it was hardly measured
 
 
@@ -290,19 +291,45 @@ def promised_variance(calibrated: CalibratedModel, data: Measurements, unit: Mea
     device = calibrated.noise(data).sigma[:, None] ** 2 if calibrated.noise_known else 0.0
     if unit == METRE and data.has_positions:
         return np.asarray(position_variance(calibrated, data.conditions) + device)
-    there = np.isfinite(errors(calibrated.model, calibrated.estimate, data, unit))
-    values = np.maximum(there.sum(axis=1), 1)
-    return there * ((variance_in_unit(calibrated, data, unit, values) / values)[:, None] + device)
+    found = errors_in_unit(calibrated, data, unit)
+    there = np.isfinite(found.error)
+    return there * ((found.variance / np.maximum(there.sum(axis=1), 1))[:, None] + device)
 
 
-def variance_in_unit(
-    calibrated: CalibratedModel, data: Measurements, unit: MeasurementUnit, values: np.ndarray
-) -> np.ndarray:
-    """Return the variance summed over each row's values in the unit, whose number is values (n_rows,); without a known noise."""
-    slope = error_jacobian(calibrated.model, calibrated.estimate, data)
+@dataclass(frozen=True)
+class ErrorsInUnit:
+    """Predicted minus measured values of rows in a unit, nan where there are none, and what is expected of them.
+
+    error (n_rows, 3 or more) [unit]; variance (n_rows,) [unit²]: summed over a row's values, without a known noise; taken: degrees
+    of freedom of the objects that the model lacked, which the rows placed.
+    """
+
+    error: np.ndarray
+    variance: np.ndarray
+    taken: int
+
+
+def errors_in_unit(calibrated: CalibratedModel, data: Measurements, unit: MeasurementUnit) -> ErrorsInUnit:
+    """Return the errors of rows in a unit, with their predictive variance.
+
+    An object that the model lacks (a socket, a surface) is placed by its own rows. Their errors are what that fit leaves, divided
+    by the root of one minus the leverage (MacKinnon and White 1985, HC2); nan for a value that its object's place follows alone.
+    """
+    model, estimate = completed(calibrated.model, calibrated.estimate, data)
+    error, slope = errors(model, estimate, data, unit), error_jacobian(model, estimate, data, unit)
+    names = [parameter.name for parameter in model.parameters]
+    known = [names.index(parameter.name) for parameter in calibrated.model.parameters]
+    new = np.setdiff1d(np.arange(len(names)), known)
+    values = slope.reshape(error.size, len(names))
+    basis, size, _ = np.linalg.svd(values[:, new] * model.prior_sd[new], full_matrices=False)
+    basis = basis[:, size > RANK * size.max(initial=0.0)]
+    share = 1.0 - (basis**2).sum(axis=1).reshape(error.shape)
+    root = np.sqrt(np.where(share > RANK, share, np.nan))
+    slope = (values[:, known] - basis @ (basis.T @ values[:, known])).reshape(*error.shape, -1) / root[:, :, None]
+    slope, error = np.nan_to_num(slope), error / root
     of_parameters = np.einsum("nai,ij,naj->n", slope, calibrated.covariance, slope)
     left = calibrated.discrepancy[unit] if calibrated.noise_known else calibrated.noise(data).sigma
-    return np.asarray(of_parameters + values * left**2)
+    return ErrorsInUnit(error, of_parameters + np.isfinite(error).sum(axis=1) * left**2, basis.shape[1])
 
 
 def promised_distance(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:

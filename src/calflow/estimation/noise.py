@@ -358,8 +358,8 @@ def stated_noise(data: Measurements) -> Noise:
     sigma = np.full(len(data), np.nan) if data.sigma is None else data.sigma.copy()
     axes, ratios = np.tile(np.eye(3), (len(data), 1, 1)), np.ones((len(data), 3))
     for k, series in enumerate(data.series):
-        if series.beam is not None:
-            rows = data.of_series(k)
+        rows = data.of_series(k)
+        if series.beam is not None and rows.any():
             values, vectors = np.linalg.eigh(series.beam.covariance(data.position[rows]))
             sigma[rows] = np.sqrt(values.mean(axis=1))
             axes[rows], ratios[rows] = vectors.transpose(0, 2, 1), np.sqrt(values) / sigma[rows][:, None]

@@ -577,9 +577,11 @@ def after_validation(validation: Validation) -> str:
             "calibrate again."
         )
     if summary.status == "met":
-        return (
-            "Put the robot to work, and choose check poses (calflow check-poses) that will show whether anything moves."
+        later = (
+            ", and choose check poses (calflow check-poses) that will show whether anything moves"
+            * summary.of_positions
         )
+        return f"Put the robot to work{later}."
     if summary.status == "cannot be told":
         return "Measure more poses that no fit has seen, where the robot is to work, and validate with all of them."
     if summary.tolerance is None:
@@ -587,7 +589,8 @@ def after_validation(validation: Validation) -> str:
     if summary.judged == "figures" and validation.of("calibrated").max <= summary.tolerance:
         return "Send corrected commands (calflow compensate, calflow filter): with them these poses are within the tolerance."
     if judged.rms_low > summary.promised:
-        return "Look for what has changed since the calibration (calflow drift with these rows), then calibrate again."
+        by = " (calflow drift with these rows)" * summary.of_positions
+        return f"Look for what has changed since the calibration{by}, then calibrate again."
     return "Measure more poses where the robot is to work (calflow next says which) and calibrate again with them."
 
 

@@ -11,7 +11,6 @@ from matplotlib.ticker import FuncFormatter
 
 from calflow.deployment.attained import CYCLES
 from calflow.deployment.validation import Status, ValidatedModel, Validation, ValidationSummary
-from calflow.files.units import METRE
 from calflow.files.words import capped, first_up, mm, plural
 from calflow.reporting.advice import after_validation
 from calflow.reporting.blocks import NEXT, Bullets, Card, Gap, Paragraph, Part, Plot, Table, cover, headed
@@ -28,6 +27,10 @@ BEYOND = 0.025  # p-value for any point's error beyond the predicted limit
 POSE_ERROR = (
     "A pose's error is the distance from where it should be to the barycentre of its rows: ISO 9283's pose accuracy AP. RP is "
     "the mean distance of its rows from their barycentre and three standard deviations."
+)
+VALUE_ERROR = (
+    "An error is the difference between what was measured, as the mean of its repeats, and what the robot should have shown. "
+    "Points of a pose that differ in what was measured have a row each."
 )
 VERDICTS: dict[Status, str] = {
     "met": "The tolerance is met.",
@@ -57,7 +60,8 @@ def validation_report(validation: Validation, title: str, file: str) -> list[Par
         *headed("What was assumed", Bullets([first_up(f"{note}.") for note in (_frame(summary), *summary.notes)], 9.5)),
     ]
     fewer = f" The standard has {CYCLES} cycles; here a pose has {summary.fewest_cycles} at least."
-    explained = Paragraph(POSE_ERROR + fewer * (summary.fewest_cycles < CYCLES), 9.5)
+    of_positions = POSE_ERROR + fewer * (summary.fewest_cycles < CYCLES)
+    explained = Paragraph(of_positions if summary.of_positions else VALUE_ERROR, 9.5)
     return [("", first), ("Every pose", [explained, _poses(validation)])]
 
 
@@ -84,13 +88,13 @@ def _what_follows(validation: Validation) -> list[str]:
     """Return sentences on the error to expect at other poses, and its agreement with the calibration's prediction."""
     summary = validation.summary
     probability = [_probability(summary)] if summary.tolerance is not None else []
-    return [*probability, _promise(validation), *([_iso(summary)] if summary.unit == METRE.label else [])]
+    return [*probability, _promise(validation), *([_iso(summary)] if summary.of_positions else [])]
 
 
 def _of_what(summary: ValidationSummary) -> list[str]:
-    """Return words on what the robot must be given for the verdict to hold, where it is in mm."""
-    if summary.unit != METRE.label:
-        return []
+    """Return words on what the verdict is about: what the robot must be given, or that no position was measured."""
+    if not summary.of_positions:
+        return ["The verdict is about the values measured here. How far off the tool may be, calflow predict says."]
     if summary.sent is None:
         return ["The verdict is about the calibrated model, and so about corrected commands, not controller figures."]
     return [f"The verdict is about the robot with {'the ' * (summary.sent == 'program filter')}{summary.sent}."]
@@ -169,10 +173,17 @@ def _poses(validation: Validation) -> Table:
     commanded = "commanded" in [row.model for row in validation.accuracy]
     unit, judged = validation.summary.unit, validation.summary.tolerance is not None
     errors = [f"nominal [{unit}]", f"calibrated [{unit}]", *["command [mm]"] * commanded]
-    header = ["pose", "marker", "rows", *errors, f"expected sd [{unit}]", "RP [mm]", *["within"] * judged]
+    repeats = ["RP [mm]"] * validation.summary.of_positions
+    header = ["pose", "marker", "rows", *errors, f"expected sd [{unit}]", *repeats, *["within"] * judged]
     rows = []
     for pose in validation.poses:
-        sizes = [pose.nominal, pose.calibrated, *[pose.commanded_mm] * commanded, pose.promised, pose.rp_mm]
+        sizes = [
+            pose.nominal,
+            pose.calibrated,
+            *[pose.commanded_mm] * commanded,
+            pose.promised,
+            *[pose.rp_mm] * len(repeats),
+        ]
         within = {None: "", True: "yes", False: "no"}[pose.within]
         rows.append([pose.pose, pose.marker, str(pose.rows), *map(mm, sizes), *[within] * judged])
     beyond = frozenset(k for k, pose in enumerate(validation.poses) if pose.within is False)

@@ -15,19 +15,19 @@ from calflow.deployment.inverse_kinematics import Targets
 from calflow.deployment.prediction import Missing, beyond_limits, on_conditions_of, standing
 from calflow.faults.implausible import plausible
 from calflow.files.deferred import pd
-from calflow.files.problems import Problem, refuse, refuse_any
+from calflow.files.problems import InputError, Problem, nearest, refuse, refuse_any
 from calflow.files.tables import csv_text
 from calflow.files.words import plural
 from calflow.measurements.cells import read_cells
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import FRAME, LABELS, Layout, numbered
 from calflow.measurements.source import MeasurementSource, sha256
+from calflow.observations import observation_kinds
 from calflow.robot.formats.frames_file import read_frames
 from calflow.robot.mechanism import reading_columns
 from calflow.run_folder import is_measured
 from calflow.study import Study
 
-SEEN_FROM_OUTSIDE = ("position", "pose")
 DISPENSABLE = ("split", "session", "repeat")  # mapped columns of the study's file that a new file may lack
 
 
@@ -146,24 +146,54 @@ def _start_notes(data: Measurements, started: bool) -> list[str]:
     ]
 
 
-def rows_measured(calibration: Calibration, rows: str | Path) -> Measurements:
+def rows_measured(calibration: Calibration, rows: str | Path, series: str = "") -> Measurements:
     """Return new measurements from a file, with notes on assumptions; all rows are evaluated, whatever their split.
 
-    The file has the format of the calibration's first series, with its mapping of columns, or calflow's own columns.
+    The file has the format of one of the calibration's series, with its mapping of columns, or calflow's own columns.
+
+    Args:
+        calibration: the calibration.
+        rows: the file.
+        series: the name of the series, or its kind where it has none; the first that the file can be read as by default.
 
     Raises:
-        InputError: with all errors in the file, or if the calibration's device does not measure the robot from outside.
+        InputError: with all errors in the file, or there is no such series.
     """
-    path, source = Path(rows), calibration.source
-    kind = calibration.model.observations[0].id
-    if kind not in SEEN_FROM_OUTSIDE:
-        raise refuse(
-            f"was calibrated by '{kind}': expected a run whose first measurements are positions or poses",
-            calibration.folder.folder if calibration.folder else None,
-        )
-    layout = source.layout
+    path, observed = Path(rows), calibration.model.observations
+    names = [observation.part for observation in observed]
+    if series and series not in names:
+        raise refuse(f"expected {' or '.join(names)}, found {series}{nearest(series, names)}", key="series")
+    failed = []
+    for k in [names.index(series)] if series else range(len(observed)):
+        try:
+            measured = _rows_of_series(calibration, k, path)
+            break
+        except InputError as error:
+            failed.append(error)
+    else:
+        raise min(failed, key=lambda error: len(error.problems))
+    targets = [name for name in TARGET if name in measured.table]
+    if targets and len(targets) < len(TARGET):
+        missing = ", ".join(name for name in TARGET if name not in targets)
+        raise refuse(f"missing column: expected {missing} beside {', '.join(targets)}", path, 1)
+    read_as = (f"read as rows of the series '{names[k]}'; --series says otherwise",) if len(observed) > 1 else ()
+    notes = (*measured.notes, *read_as, *_seen(calibration, measured, path), *calibration.notes)
+    return replace(measured, table=measured.table.assign(split="train"), notes=notes)
+
+
+def _rows_of_series(calibration: Calibration, k: int, path: Path) -> Measurements:
+    """Return the rows of a file as rows of the calibration's series k.
+
+    Raises:
+        InputError: with all errors in the file.
+    """
+    observed, sources = calibration.model.observations, calibration.request.sources
+    source = sources[k] if k < len(sources) else calibration.source
+    kind = observation_kinds()[observed[k].series.kind or "pose"]
+    reports = replace(kind.columns, sigma=kind.units[0].dimension)
+    layout = replace(source.layout, reports=reports)
     plain = Layout(separator=source.separator, decimal=source.decimal, in_order=source.in_order, tracker=source.tracker,
-                   missing=source.missing)  # fmt: skip
+                   missing=source.missing, reports=reports)  # fmt: skip
     if layout.named:
         there = set(map(str, read_cells(path, layout, layout.named)))
         columns = {
@@ -171,12 +201,8 @@ def rows_measured(calibration: Calibration, rows: str | Path) -> Measurements:
         }
         layout = replace(layout, columns=columns) if there & set(layout.named) else plain
     measured = plausible(Measurements.from_csv(path, calibration.robot, **vars(layout)), path)
-    targets = [name for name in TARGET if name in measured.table]
-    if targets and len(targets) < len(TARGET):
-        missing = ", ".join(name for name in TARGET if name not in targets)
-        raise refuse(f"missing column: expected {missing} beside {', '.join(targets)}", path, 1)
-    notes = (*measured.notes, *_seen(calibration, measured, path), *calibration.notes)
-    return replace(measured, table=measured.table.assign(split="train"), notes=notes)
+    table = measured.table.assign(series=k) if len(observed) > 1 else measured.table
+    return replace(measured, table=table, series=tuple(observation.series for observation in observed))
 
 
 def _seen(calibration: Calibration, data: Measurements, path: Path) -> tuple[str, ...]:

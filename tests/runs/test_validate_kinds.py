@@ -1,0 +1,125 @@
+"""Validation by whatever the robot was calibrated with: a wire, sockets and a tracker, simulated by NumPy alone."""
+
+from __future__ import annotations
+
+import runpy
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from applied import validate
+from conftest import Folder, without_data
+
+FIRST_STEPS = Path(__file__).parents[2] / "studies" / "first-steps"
+ARM = SimpleNamespace(**runpy.run_path(str(FIRST_STEPS / "measured.py")))
+ANCHOR, WIRE, TOUCH = np.array([1.9, 0.3, -0.2]), 5e-5, 3e-5  # m: of the wire; noise
+Q = [f"q{k}_deg" for k in range(1, 7)]
+STUDY = """
+name = "cell"
+robot = "arm.toml"
+workflow = "diagnose"
+seed = 1
+effects = ["geometry"]
+
+[[measurements]]
+kind = "distance"
+file = "wire.csv"
+sigma_mm = 0.05
+
+[measurements.settings]
+anchor_mm = [1900, 300, -200]
+anchor_known = false
+offset_mm = 0
+
+[[measurements]]
+kind = "same-point"
+file = "sockets.csv"
+sigma_mm = 0.03
+
+[measurements.settings]
+distance_mm = 50
+"""
+
+
+@pytest.fixture(scope="module")
+def calibrated(tmp_path_factory):
+    """The arm of the first steps, calibrated by its wire and its sockets together."""
+    folder = Folder(tmp_path_factory.mktemp("kinds"))
+    for name in ("arm.toml", "arm.urdf", "wire.csv", "sockets.csv"):
+        (folder / name).write_bytes((FIRST_STEPS / name).read_bytes())
+    (folder / "study.toml").write_text(STUDY, encoding="utf-8")
+    with without_data():
+        answer = folder.calflow("run", "--stage", "identify")
+    assert answer.code == 0, answer
+    return folder
+
+
+def lengths(q, seed, zero=0.0):
+    """What the wire shows at readings (n, 6), joint 2 having moved by zero [rad] since."""
+    there = ARM.ball(q + np.array([0, zero, 0, 0, 0, 0]))
+    shown = np.linalg.norm(there - ANCHOR, axis=1) + WIRE * np.random.default_rng(seed).standard_normal(len(q))
+    return pd.DataFrame(np.degrees(q), columns=Q).assign(length_mm=1e3 * shown)
+
+
+def touches(placements, each, seed):
+    """Readings with which the ball is in both sockets of pairs that no fit has seen, from several sides."""
+    rng = np.random.default_rng(seed)
+    rows = []
+    for placement in placements:
+        at = rng.uniform([0.3, -0.6, 0.3], [0.8, 0.6, 0.8])
+        for socket, place in (("left", at), ("right", at + ARM.BESIDE)):
+            for _ in range(each):
+                q = ARM.touching(place + TOUCH * rng.standard_normal(3), rng)
+                rows.append({"placement": placement, "socket": socket, **dict(zip(Q, np.degrees(q), strict=True))})
+    return pd.DataFrame(rows)
+
+
+def test_a_wire_judges_the_robot_that_it_calibrated(calibrated):
+    """Fails if lengths are refused, are judged as positions, or show no joint that moved by 4 mrad."""
+    q = np.random.default_rng(8).uniform(ARM.LOW, ARM.HIGH, (20, 6))
+    calibrated.measure(lengths(q, 9), "lengths.csv")
+    sound = calibrated.calflow("validate", calibrated / "runs", calibrated / "lengths.csv", "--tolerance-mm", 1)
+    assert (sound.code, sound.out.splitlines()[0]) == (0, "The tolerance is met.")
+    assert "more than chance allows" not in sound.out
+    assert "ISO 9283" not in sound.out
+    assert "read as rows of the series 'distance'" in sound.err
+    found = validate(calibrated / "runs", calibrated / "lengths.csv")
+    assert (found.summary.unit, found.summary.rp_mm, found.summary.freedom_lost) == ("mm", None, 0)
+    assert np.isnan([found.summary.ap_mm, found.poses[0].dx_mm]).all()
+    assert found.of("nominal").rms_mm > 5 * found.judged.rms_mm
+    calibrated.measure(lengths(q, 9, zero=4e-3), "moved.csv")
+    moved = calibrated.calflow("validate", calibrated / "runs", calibrated / "moved.csv", "--tolerance-mm", 1)
+    assert moved.code == 3
+    assert "more than chance allows" in moved.out
+
+
+def test_new_sockets_are_placed_by_their_own_rows(calibrated):
+    """Fails if a pair of sockets that no fit has seen is refused, or what placing it takes off the errors flatters the robot."""
+    calibrated.measure(touches([f"new {k}" for k in range(12)], 2, 10), "touches.csv")
+    found = validate(calibrated / "runs", calibrated / "touches.csv")
+    assert found.summary.freedom_lost == 12 * 5
+    assert any("were placed by these rows" in note for note in found.summary.notes)
+    noise = 1e3 * TOUCH * np.sqrt(3)  # without the leverage the errors would be 0.76 of this, and the robot's
+    assert 0.9 * noise < found.judged.rms_mm < 1.2 * found.summary.promised_mm
+
+
+def test_a_socket_that_was_touched_once_shows_no_error(calibrated):
+    """Fails if the zero that is left of a touch that its socket's place follows counts as a robot without error."""
+    once = touches(["alone"], 1, 11).assign(socket=["a", "b"], placement=["one", "other"])
+    calibrated.measure(once, "once.csv")
+    (told,) = calibrated.refused("validate", calibrated / "runs", calibrated / "once.csv")
+    assert "more rows of each object" in told
+
+
+def test_rows_are_of_the_series_that_is_named(calibrated):
+    """Fails if a file is read as another series than --series names, or a name that is none passes."""
+    q = np.random.default_rng(12).uniform(ARM.LOW, ARM.HIGH, (6, 6))
+    calibrated.measure(lengths(q, 13), "few.csv")
+    ask = ("validate", calibrated / "runs", calibrated / "few.csv", "--series")
+    assert any("length_mm" in told for told in calibrated.refused(*ask, "same-point"))
+    (told,) = calibrated.refused(*ask, "distanse")
+    assert "expected distance or same-point, found distanse" in told
+    assert calibrated.calflow(*ask, "distance").code == 0
