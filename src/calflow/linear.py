@@ -249,9 +249,9 @@ class LinearTrial(Trial[Block]):
         """Cost for comparing trials, twice the negative log evidence: misfit, and penalties for parameters and variants."""
         solution, spans = self.solution, self._columns
         every = [self._amplitudes(block, columns) for block, columns in zip(self.blocks, spans, strict=True)]
-        misfit = (solution.misfit - sum(amplitudes.pulled for amplitudes in every)) * solution.level**2
         narrowed = solution.narrowed(np.concatenate([[], *spans]).astype(int))
-        return refitted_cost(misfit, self.degrees_of_freedom, every, narrowed) + self._cost_of_errors
+        cost = refitted_cost(solution.misfit, solution.level, self.degrees_of_freedom, every, narrowed)
+        return cost + self._cost_of_errors
 
     @property
     def _cost_of_errors(self) -> float:

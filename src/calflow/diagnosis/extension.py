@@ -80,12 +80,11 @@ class FittedTrial(Trial[Cause]):
         estimate = fitted.fit.estimate.copy()
         estimate[free] += settled.change
         every = [self._amplitudes(cause, estimate) for cause in self.causes]
-        left = settled.chi2 + fitted.outlier_loss - sum(amplitudes.pulled for amplitudes in every)
         columns = np.concatenate([np.zeros(0, dtype=int), *(model.columns(cause) for cause in self.causes)])
         shown = np.flatnonzero(np.isin(free, columns))
         root = settled.root_covariance(shown) / model.prior_sd[free[shown]]
-        misfit = left * fitted.scale**2
-        return refitted_cost(misfit, self.degrees_of_freedom, every, float(np.linalg.slogdet(root.T @ root)[1]))
+        chi2, narrowed = settled.chi2 + fitted.outlier_loss, float(np.linalg.slogdet(root.T @ root)[1])
+        return refitted_cost(chi2, fitted.scale, self.degrees_of_freedom, every, narrowed)
 
     def with_causes(self, causes: Sequence[Cause], added: Score[Cause] | None = None) -> FittedTrial:
         """Return the study's effects fitted with these causes, a new one started from its linear estimate."""

@@ -204,10 +204,6 @@ class Trial(ABC, Generic[H]):
     def linearisation(self) -> Linearisation[H]:
         """The linearised model."""
 
-    def forget(self) -> None:
-        """Release the linearised model, a trial's largest object; it is recomputed on demand."""
-        vars(self).pop("linearisation", None)
-
     @abstractmethod
     def with_causes(self, causes: Sequence[H], added: Score[H] | None = None) -> Self:
         """Return the model fitted with these causes instead; added is the score of the last one, if it is new."""
@@ -236,10 +232,10 @@ class Trial(ABC, Generic[H]):
 
 
 def forget_all_but(best: Trial, tried: Sequence[Trial]) -> None:
-    """Release the linearised models of all trials but one."""
+    """Release the linearised models of all trials but one, their largest objects, which are recomputed on demand."""
     for trial in tried:
         if trial is not best:
-            trial.forget()
+            vars(trial).pop("linearisation", None)
 
 
 def is_new(causes: Sequence[Any], tried: Sequence[Trial]) -> bool:
@@ -544,8 +540,8 @@ class Stepwise(Generic[H]):
             self.say(step.words)
             tried.append(_moved(now, step))
             if tried[-1].cost < now.cost + BETTER or len(step.causes) < len(now.causes):
-                now.forget()
                 now = tried[-1]
+                forget_all_but(now, tried)
             else:
                 self.say("that is no better")
             self.advance(1 - (1 - STEP_SHARE) ** len(tried))

@@ -306,19 +306,21 @@ def size_cost(pulled: float, number: int) -> float:
 
 
 def refitted_cost(
-    misfit: float, degrees_of_freedom: float, fitted: Sequence[Amplitudes], log_determinant: float
+    chi2: float, level: float, degrees_of_freedom: float, fitted: Sequence[Amplitudes], log_determinant: float
 ) -> float:
     """Return minus twice the log evidence of a refitted model, comparable with others of the same data.
 
     The causes' amplitudes are integrated out by Laplace's approximation; the model's other parameters are common to all.
 
     Args:
-        misfit: chi² of the model, without the causes' prior terms.
+        chi2: that of the model, with the causes' prior terms.
+        level: standard deviation by which residuals were divided.
         degrees_of_freedom: residual ones of the model without causes, as in `log_likelihood`.
         fitted: the causes' amplitudes.
         log_determinant: that of the covariance of the amplitudes off their bounds, over their usual sizes.
     """
     by_prior = sum(amplitudes.cost(degrees_of_freedom) for amplitudes in fitted)
+    misfit = (chi2 - sum(amplitudes.pulled for amplitudes in fitted)) * level**2
     return degrees_of_freedom * float(np.log(misfit)) + by_prior - log_determinant
 
 
