@@ -214,11 +214,6 @@ def poses_for_tolerance(
     if tool.loss(np.linalg.inv(prior)) <= tolerance:
         return 0, 0
     most = min(MOST_POSES, len(jacobians))
-    low, high = 0, 1  # low poses cannot meet it
-    while not possible(high):
-        if high == most:
-            return None, None
-        low, high = high, min(2 * high, most)
-    high = bisect_left(range(high), True, lo=low + 1, key=possible)
-    chosen = (n for n in range(high, most + 1) if search_poses(jacobians, prior, n, tool, rng).loss <= tolerance)
-    return next(chosen, None), high
+    needed = 1 + bisect_left(range(1, most + 1), True, key=possible)
+    chosen = (n for n in range(needed, most + 1) if search_poses(jacobians, prior, n, tool, rng).loss <= tolerance)
+    return next(chosen, None), needed if needed <= most else None
