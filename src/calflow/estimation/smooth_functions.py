@@ -35,7 +35,9 @@ SIZE = 3e-4  # rad or m, usual prior standard deviation of an amplitude
 LENS_SIZE = 3e-2  # usual slope error of a line of sight at SIGHT, as of a lens that is not the stated one
 SIGHT = 0.4  # slope of a line of sight near the edge of an image
 ORDERS = 6  # harmonics of a function of one joint
+# Powers of the coordinates in the terms of `InImage` and `InPlace`.
 _IN_IMAGE = [(i, j) for i in range(4) for j in range(4) if i + j <= 3]
+_IN_PLACE = [(i, j, k) for i in range(4) for j in range(4) for k in range(4) if 2 <= i + j + k <= 3]
 SMOOTH_ORDERS = 4  # harmonics of a joint's angle
 TINY = 1e-6  # m, of a travel
 STILL = 1e-9  # derivative by a joint over the largest, below which it is rounding
@@ -388,13 +390,13 @@ class InPlace(SmoothFunction):
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the quadratic and cubic terms along each axis; lower ones are geometry's."""
-        return self.amplitudes("place", (f"{axis}{k}" for axis in "xyz" for k in range(len(_powers()))))
+        return self.amplitudes("place", (f"{axis}{k}" for axis in "xyz" for k in range(len(_IN_PLACE))))
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
         """Return the shifted point."""
         near = (point - ca.DM(self.centre)) / self.reach
-        terms = ca.vertcat(*(near[0] ** i * near[1] ** j * near[2] ** k for i, j, k in _powers()))
-        return point + ca.reshape(p, len(_powers()), 3).T @ terms
+        terms = ca.vertcat(*(near[0] ** i * near[1] ** j * near[2] ** k for i, j, k in _IN_PLACE))
+        return point + ca.reshape(p, len(_IN_PLACE), 3).T @ terms
 
 
 @dataclass(frozen=True)
@@ -559,7 +561,3 @@ def turn_of_readings(robot: Robot) -> np.ndarray:
 def _phases(angles: ca.SX) -> ca.SX:
     """Return cosines and sines (2, n) of angles (1, n)."""
     return ca.vertcat(ca.cos(angles), ca.sin(angles))
-
-
-def _powers() -> list[tuple[int, int, int]]:
-    return [(i, j, k) for i in range(4) for j in range(4) for k in range(4) if 2 <= i + j + k <= 3]

@@ -74,18 +74,15 @@ class Coordinates:
         z = np.array(u)
         log_slope = np.zeros(u.shape[:-1])
         for k in range(self.n_cut):
-            least, most = self._allowed(z, k)
+            # The bounds of z[k], conditional on those before it.
+            middle = self.mean[k] + z[..., :k] @ self.factor[k, :k]
+            least, most = ((bound[k] - middle) / self.factor[k, k] for bound in (self.lower, self.upper))
             z[..., k], slope = _truncated(u[..., k], least, most)
             log_slope += slope
         x = np.empty_like(z)
         x[..., self.order] = self.mean + z @ self.factor.T
         x[..., self.cut] = np.clip(x[..., self.cut], self.lower, self.upper)  # removes round-off beyond the bounds
         return x, log_slope
-
-    def _allowed(self, z: np.ndarray, k: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the bounds of z[k], conditional on those before it."""
-        middle = self.mean[k] + z[..., :k] @ self.factor[k, :k]
-        return (self.lower[k] - middle) / self.factor[k, k], (self.upper[k] - middle) / self.factor[k, k]
 
 
 def _truncated(u: np.ndarray, least: np.ndarray, most: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -15,7 +15,7 @@ from calflow.estimation.calibrated_model import CalibratedModel, expected_point,
 from calflow.estimation.error_model import of_parameters
 from calflow.estimation.extrapolation import beyond
 from calflow.files.deferred import pd
-from calflow.files.tables import column, to_frame
+from calflow.files.tables import column, typed
 from calflow.files.units import RADIAN
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
@@ -225,23 +225,18 @@ def task_table(
     """Return a table with one row (`TaskPoint`) per point of the task; measured are the fitted rows."""
     place = expected_point(calibrated, task.conditions)
     nominal = calibrated.model.point(calibrated.model.nominal, task.conditions)
-    within = errors.within(asked.tolerance, asked.turn_tolerance).mean(axis=0)
-    position, turn, table = errors.position, errors.turn, task.table
-    unmeasured = _unmeasured(task, measured)
-    rows = [
-        TaskPoint(
-            point=str(table["pose"].iloc[k]), payload=str(table["payload"].iloc[k]), marker=str(table["marker"].iloc[k]),
-            x_mm=1e3 * place[k, 0], y_mm=1e3 * place[k, 1], z_mm=1e3 * place[k, 2],
-            nominal_mm=1e3 * float(np.linalg.norm(nominal[k] - place[k])),
-            expected_mm=1e3 * position.expected[k], sd_x_mm=1e3 * position.sd[k, 0], sd_y_mm=1e3 * position.sd[k, 1],
-            sd_z_mm=1e3 * position.sd[k, 2], radius95_mm=1e3 * position.radius[k],
-            turn_mrad=1e3 * turn.expected[k], sd_turn_x_mrad=1e3 * turn.sd[k, 0], sd_turn_y_mrad=1e3 * turn.sd[k, 1],
-            sd_turn_z_mrad=1e3 * turn.sd[k, 2], turn95_mrad=1e3 * turn.radius[k],
-            within=float(within[k]) if asked.anything else float("nan"), beyond=unmeasured[k],
-        )
-        for k in range(len(task))
-    ]  # fmt: skip
-    return to_frame(rows, TaskPoint)
+    within = errors.within(asked.tolerance, asked.turn_tolerance).mean(axis=0) if asked.anything else np.nan
+    position, turn = errors.position, errors.turn
+    by_axis = [("{}_mm", place), ("sd_{}_mm", position.sd), ("sd_turn_{}_mrad", turn.sd)]
+    table = task.table[["payload", "marker"]].assign(
+        point=task.table["pose"],
+        **{name.format(axis): 1e3 * values[:, k] for name, values in by_axis for k, axis in enumerate("xyz")},
+        nominal_mm=1e3 * np.linalg.norm(nominal - place, axis=1),
+        expected_mm=1e3 * position.expected, radius95_mm=1e3 * position.radius,
+        turn_mrad=1e3 * turn.expected, turn95_mrad=1e3 * turn.radius,
+        within=within, beyond=_unmeasured(task, measured),
+    )  # fmt: skip
+    return typed(table, TaskPoint)
 
 
 def task_summary(
