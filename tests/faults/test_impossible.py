@@ -68,7 +68,9 @@ def test_limits_past_which_a_turned_sign_leads_say_that_it_was_turned(tmp_path):
     data = case(tmp_path)
     low, high = data.robot.joints[1].limits
     wrong = with_joint(data, 2, limits=(-high, -low))
-    with pytest.raises(InputError, match=r"joint 2: all readings have the wrong sign.*corrected in memory") as told:
+    with pytest.raises(
+        InputError, match=r"joint 2: all readings have the wrong sign.*corrected for this run only"
+    ) as told:
         examined(replace(wrong, table=data.table.assign(q2=-data.table["q2"])))
     assert "its angle is past the limits -75 to 60 deg" in str(told.value)
 

@@ -105,9 +105,9 @@ def test_targets_may_be_in_frames_and_without_readings(finished, asked):
     [
         ("x_mm,y_mm\n1,2\n", "targets.csv:1: missing column: expected z_m or z_mm"),
         ("x_mm,y_mm,z_mm,q1_deg\n1,2,3,4\n", "targets.csv:1: missing column: expected q2_rad or q2_deg"),
-        ("x_mm,y_mm,z_mm\n1,2,\n", "targets.csv:2: column 'z_mm' is empty or not a number"),
+        ("x_mm,y_mm,z_mm,payload\n1,2,,\n", "targets.csv:2: column 'z_mm' is empty or not a number"),
         (
-            "x_mm,y_mm,z_mm,frame\n600,2,800,fixture\n",
+            "x_mm,y_mm,z_mm,payload,frame\n600,2,800,,fixture\n",
             "frame: unknown frame 'fixture': expected one of measuring, base",
         ),
     ],

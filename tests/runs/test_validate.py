@@ -166,6 +166,23 @@ def test_a_wild_pose_does_not_agree_with_what_was_promised(measured):
     assert "agrees" not in wild.out
 
 
+def test_a_load_that_is_not_stated_is_no_verdict(measured):
+    """Fails if rows without the column `payload` are judged as if nothing had been carried, by millimetres of compliance."""
+    rows = pd.read_csv(measured / "new.csv")
+    measured.measure(rows.drop(columns="payload"), "bare.csv")
+    for command in ("validate", "drift"):
+        (told,) = measured.refused(command, measured / "runs", measured / "bare.csv")
+        assert told.startswith(
+            "bare.csv:1: missing column: expected payload, since the robot was calibrated with light and heavy"
+        )
+    measured.measure(rows.drop(columns=["payload", *X, "sigma_mm"]), "asked.csv")
+    assert any(
+        "expected payload" in told for told in measured.refused("predict", measured / "runs", measured / "asked.csv")
+    )
+    measured.measure(rows.assign(payload=""), "empty.csv")
+    assert measured.calflow("validate", measured / "runs", measured / "empty.csv").code == 0
+
+
 def test_a_target_has_three_coordinates(measured):
     """Fails if targets with an axis alone end in a traceback."""
     rows = pd.read_csv(measured / "new.csv")

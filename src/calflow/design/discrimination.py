@@ -112,7 +112,7 @@ class Separation:
         if self.unasked:
             return f"measure in a wider region, or {else_}" if self.wider else else_
         if self.rival.cause is None:
-            return f"it takes {self.lacking}" if self.lacking else told_by or ANY_MEANS
+            return f"tell them apart by {self.lacking}" if self.lacking else told_by or ANY_MEANS
         return else_ if self.chance < ENOUGH else ""
 
     def words(self, cause: Cause) -> str:

@@ -154,7 +154,7 @@ def _refined(data: Measurements, reference: Reference, block: TurnedBlock) -> tu
 def _fault(data: Measurements, block: TurnedBlock, what: str, why: str) -> Fault:
     statement = (
         f"joint {block.joint + 1}: in LINES the reading {why}, and is right with one {what} "
-        f"{'more' if block.step > 0 else 'less'}; corrected in memory; correct the file, too, and check the joint's zero"
+        f"{'more' if block.step > 0 else 'less'}; corrected for this run only; correct the file, too, and check the joint's zero"
     )
     return fault("encoder-turn", data, block.joint + 1, block.corrections, "corrected", statement)
 

@@ -63,7 +63,7 @@ def _turned(data: Measurements, joint: int, compared: TorqueComparison | None, c
     if compared:
         why = f"correlation {compared.correlation:.3f} with {compared.against}"
     correction = Correction(0, f"tau{number}", factor=-1.0) if clear else Correction(0)
-    action = f"corrected in memory; correct column tau{number}, too"
+    action = f"corrected for this run only; correct column tau{number}, too"
     if not clear:
         action = f"not changed, since other joints' are right: check the sign convention of tau{number}"
     statement = f"joint {number}: measured torques have the wrong sign ({why}); {action}"

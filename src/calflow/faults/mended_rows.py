@@ -36,7 +36,7 @@ def unit_mistake(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
     for mistake, mended in zip(tried, only, strict=True):
         corrections = [replace(made, row=int(row) + 1) for row in rows[mended] for made in mistake.in_rows]
         if corrections:
-            statement = f"{mistake.words} in LINES; corrected in memory; correct the file, too"
+            statement = f"{mistake.words} in LINES; corrected for this run only; correct the file, too"
             faults.append(fault("unit-mistake", data, mistake.joint, corrections, "corrected", statement))
     return tuple(faults)
 
@@ -55,8 +55,10 @@ def exchanged(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
     if len({(pose[i], pose[j]) for i, j in pairs}) > MAX_PAIRS:
         pairs = []
     markers = dict.fromkeys(data.table["marker"].iloc[[row for pair in swaps for row in pair]].astype(str))
-    swapped = f"markers {' and '.join(markers)} are exchanged in LINES; corrected in memory; correct the file, too"
-    moved = "positions of pairs of rows are exchanged in LINES; corrected in memory; correct the file, too"
+    swapped = (
+        f"markers {' and '.join(markers)} are exchanged in LINES; corrected for this run only; correct the file, too"
+    )
+    moved = "positions of pairs of rows are exchanged in LINES; corrected for this run only; correct the file, too"
     return (*_exchange(data, "marker-swap", swaps, swapped), *_exchange(data, "rows-exchanged", pairs, moved))
 
 

@@ -47,7 +47,7 @@ def _shifted(data: Measurements, source: np.ndarray) -> tuple[Fault, ...]:
     rows = "a row" if abs(by) == 1 else f"{abs(int(by))} rows"
     statement = (
         f"positions are {rows} {where} against the readings (LINES): a row was lost or written twice where that begins; "
-        "realigned in memory; correct the file, too"
+        "realigned for this run only; correct the file, too"
     )
     corrections = [Correction(int(row) + 1, source=int(source[row]) + 1) for row in realigned]
     faults = [fault("row-misalignment", data, 0, corrections, "corrected", statement)]

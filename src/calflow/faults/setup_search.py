@@ -82,7 +82,7 @@ def _reported(as_read: FittedSetup, candidates: Sequence[PossibleMistake]) -> tu
     mistake, statement = candidates[0].mistake, candidates[0].statement
     where = " or ".join(dict.fromkeys(candidate.mistake.where for candidate in candidates[:MAX_REPORTED]))
     if len(candidates) == 1 and mistake.corrections:
-        statement = f"{statement}; corrected in memory"
+        statement = f"{statement}; corrected for this run only"
         return (Fault(mistake.id, mistake.joint, (), statement, "corrected", mistake.corrections, where),)
     if len(candidates) > 1:
         several = "; or ".join(

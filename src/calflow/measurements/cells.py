@@ -252,8 +252,8 @@ def _check_separator(path: Path, header: str, dialect: Dialect) -> None:
     other = next((sign for sign in ";\t|," if sign in header), None)
     if other:
         raise refuse(f"has no {dialect.separator!r} in its header line, but {other!r}: say separator = {json.dumps(other)} "
-                     "in the study's [measurements] (and decimal = \",\" where numbers have a decimal comma); new rows must be "
-                     "written as the study's measurements are",
+                     "in the study's [measurements] (and decimal = \",\" where numbers have a decimal comma); new rows for a "
+                     "run must be written as its study's measurements are, and 'calflow import' writes an instrument's so",
                      path, dialect.header_line)  # fmt: skip
 
 

@@ -137,6 +137,7 @@ class Layout(Dialect):
     approach directions follow from the pose before. tracker [m] is the device's position in the measuring frame, if not
     its origin. missing states which rows are left out and counted: "whole", rows without any measured value (rows that
     lack only some are errors); "skip", rows that lack any; "refuse", none. reports are the columns of measured values.
+    loads are the payloads of a calibration whose model depends on them: rows for it must then state theirs.
 
     Raises:
         ValueError: the dialect is invalid.
@@ -150,6 +151,7 @@ class Layout(Dialect):
     tracker: tuple[float, float, float] | None = None
     missing: Missing = "whole"
     reports: Reported = POSES
+    loads: tuple[str, ...] = ()
 
     @property
     def named(self) -> list[str]:
@@ -221,6 +223,11 @@ def check_header(columns: Sequence[ReadColumn], layout: Layout, robot: Robot, co
         "_deg), or sigma_rotation_mrad = … in the study's [measurements]": oriented and unsure,
         "has orientations twice, as rx, ry, rz and as a quaternion: expected one of them": {"rx", "qw"} <= names.keys(),
     }
+    if layout.loads and "payload" not in names:
+        missing.append(
+            f"missing column: expected payload, since the robot was calibrated with {' and '.join(layout.loads)} and gives way "
+            "under each; leave a cell empty where it carries nothing"
+        )
     return list(dict.fromkeys((*unknown, *missing, *twice, *(words for words, true in turns.items() if true))))
 
 

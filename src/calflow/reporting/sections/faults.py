@@ -19,7 +19,10 @@ DONE = {  # by action: the table's entry, and a sentence
         "nothing: settle it first",
         "Unsettled mistakes were left in: they affect the fit and the verdict, and no cause is named before they are settled.",
     ),
-    "corrected": ("corrected in memory", "Mistakes with one clear correction were corrected in memory."),
+    "corrected": (
+        "corrected for this run only",
+        "Mistakes with one clear correction were corrected for this run only.",
+    ),
     "left out": ("left out", "Rows without a clear correction were left out of the fit and the verdict."),
     "told": ("nothing: look at it", "What may be right is only reported."),
 }
