@@ -130,19 +130,19 @@ def test_rows_are_read_and_answered_as_the_studys_data_are(finished, asked):
 
 ROWS = {
     "no such file": (None, ["asked.csv: no such file"]),
-    "a column short": ("q1_deg,q2_deg\n1,2\n", ["asked.csv:1: missing column: expected q3_rad or q3_deg"]),
+    "a column short": ("q1_deg,q2_deg,payload\n1,2,\n", ["asked.csv:1: missing column: expected q3_rad or q3_deg"]),
     "measured positions": (
-        "q1_deg,q2_deg,q3_deg,x_mm\n1,2,3,4\n",
+        "q1_deg,q2_deg,q3_deg,payload,x_mm\n1,2,3,,4\n",
         ["asked.csv:1: column 'x_mm' is what will be predicted"],
     ),
     "unknown column": (
-        "q1_deg,q2_deg,q3_deg,payloda\n1,2,3,4\n",
+        "q1_deg,q2_deg,q3_deg,payload,payloda\n1,2,3,,4\n",
         ["asked.csv:1: unknown column 'payloda', did you mean 'payload'?"],
     ),
     "unknown payload": ("q1_deg,q2_deg,q3_deg,payload\n1,2,3,havy\n", ["asked.csv:2: unknown payload 'havy'"]),
-    "empty cell": ("q1_deg,q2_deg,q3_deg\n1,2,3\n1,,3\n", ["asked.csv:3: column 'q2_deg' is empty"]),
-    "degrees in _rad": ("q1_rad,q2_rad,q3_rad\n100,20,30\n", ["does a column named _rad hold degrees?"]),
-    "header only": ("q1_deg,q2_deg,q3_deg\n", ["is empty"]),
+    "empty cell": ("q1_deg,q2_deg,q3_deg,payload\n1,2,3,\n1,,3,\n", ["asked.csv:3: column 'q2_deg' is empty"]),
+    "degrees in _rad": ("q1_rad,q2_rad,q3_rad,payload\n100,20,30,\n", ["does a column named _rad hold degrees?"]),
+    "header only": ("q1_deg,q2_deg,q3_deg,payload\n", ["is empty"]),
 }
 
 
@@ -158,10 +158,13 @@ def test_wrong_rows_are_refused(finished, text, expected):
 
 
 def test_what_is_assumed_of_the_rows_is_said(finished):
-    """Fails if rows without a payload are predicted in silence for an empty hand, or the note spoils the table."""
+    """Fails if rows that do not say what is carried are predicted for an empty hand, or a note spoils the table."""
     (finished / "few.csv").write_text("q1_deg,q2_deg,q3_deg\n10,-20,30\n", encoding="utf-8")
+    (told,) = finished.refused("predict", finished / "runs", finished / "few.csv")
+    assert "expected payload" in told
+    (finished / "few.csv").write_text("q1_deg,q2_deg,q3_deg,payload\n10,-20,30,\n", encoding="utf-8")
     answer = finished.calflow("predict", finished / "runs", finished / "few.csv")
-    assert "note: no column 'payload': no row counts as carrying light or heavy" in answer.err
+    assert "note: no column 'pose'" in answer.err
     assert answer.out.startswith("q1_deg,")
 
 

@@ -175,10 +175,6 @@ def test_a_load_that_is_not_stated_is_no_verdict(measured):
         assert told.startswith(
             "bare.csv:1: missing column: expected payload, since the robot was calibrated with light and heavy"
         )
-    measured.measure(rows.drop(columns=["payload", *X, "sigma_mm"]), "asked.csv")
-    assert any(
-        "expected payload" in told for told in measured.refused("predict", measured / "runs", measured / "asked.csv")
-    )
     measured.measure(rows.assign(payload=""), "empty.csv")
     assert measured.calflow("validate", measured / "runs", measured / "empty.csv").code == 0
 

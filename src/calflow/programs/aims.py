@@ -234,7 +234,7 @@ def _new_names(programs: Sequence[Program]) -> Callable[[str], str]:
     def another(name: str) -> str:
         if not taken:
             taken.update(word.decode("latin-1").lower() for p in programs for word in re.findall(rb"[\w$]+", p.source))
-        plain = re.sub(r"\W+", "_", name).strip("_")
+        plain = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_")  # languages have no other letters in names
         for k in count(2):
             new = f"{plain[: LONGEST_NAME - 1 - len(str(k))]}_{k}"
             if new.lower() not in taken:
