@@ -18,11 +18,11 @@ from calflow.estimation.fit import Fit, IntraclassLikelihood, fit, fit_reweighte
 from calflow.estimation.lack_of_fit import LackOfFit
 from calflow.estimation.least_squares import LeastSquares, Loss
 from calflow.estimation.leverage import LeftOut, left_out
-from calflow.estimation.noise import Noise, PerUnit, median_length
+from calflow.estimation.noise import NO_DISCREPANCY, Noise, PerUnit
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 
-HUBER = 4.5  # robust standard deviations from which rows are down-weighted
+HUBER = 4.5  # standard deviations from which rows are down-weighted
 SETTLED = 0.1  # relative change of noise and weights below which a fit is not repeated
 MOST_LEVERAGE = 0.95  # of a residual, by which it is studentised
 WEIGHINGS = 3  # fits at most, in which the weights of outliers settle
@@ -33,7 +33,7 @@ class Fitted:
     """A fitted model with the training data and the noise it was fitted with.
 
     lack: lack of fit against the noise alone; device: the noise before outliers were down-weighted;
-    outlier_factor (n_rows,), or (1,) for all alike: factor of each row's sigma by that weighting, at least 1; background:
+    outlier_factor (n_rows,), or (1,) for all alike: factor of each row's total noise by that weighting; background:
     correlated errors in the covariance of tests (None: independent errors); shared: intraclass correlation of markers at one
     standstill (None: estimated from the residual alone); visited: cache of the models fitted from it with other causes.
     """
@@ -213,7 +213,9 @@ class Fitted:
             near = self.noise.sigma / self.outlier_factor * np.sqrt(1 - share)
             sigma = np.where(self.device.estimated, near, self.device.sigma)
             bare = replace(self.device, discrepancy=PerUnit(), sigma=sigma)
-            self.visited[held] = _settled(model, self.data, bare, start, self.fit.loss, self.outlier_factor)
+            self.visited[held] = _settled(
+                model, self.data, bare, start, self.fit.loss, self.outlier_factor, self.noise.discrepancy
+            )
         return replace(self.visited[held], background=self.background, shared=self.shared, visited=self.visited)
 
 
@@ -224,25 +226,39 @@ def _settled(
     start: np.ndarray,
     loss: Loss,
     outlier_factor: np.ndarray | None = None,
+    discrepancy: PerUnit = NO_DISCREPANCY,
 ) -> Fitted:
-    """Return the fit from a start, with rows beyond HUBER robust standard deviations weighted as by Huber (1964).
+    """Return the fit from a start, with rows beyond HUBER standard deviations weighted as by Huber (1964).
 
-    outlier_factor (n_rows,) is the factor by which rows exceeded that in the fit before.
+    outlier_factor (n_rows,) is the factor by which rows exceeded that in the fit before, and discrepancy that fit's.
     """
     outlier_factor = np.ones(len(data)) if outlier_factor is None else outlier_factor
     for _ in range(WEIGHINGS):
-        weighed = replace(device, sigma=device.sigma * outlier_factor)
+        weighed = _down_weighted(device, outlier_factor, discrepancy)
         settled, noise, lack, _ = fit_reweighted(model, data, weighed, start[None], loss, SETTLED)
-        before, outlier_factor, start = outlier_factor, _excess(settled, outlier_factor), settled.estimate
+        alike = np.where(noise.estimated, noise.sigma / outlier_factor, device.sigma)
+        before = noise.total / replace(noise, sigma=alike).total
+        outlier_factor, discrepancy, start = _excess(settled, before), noise.discrepancy, settled.estimate
         if np.allclose(outlier_factor, before, rtol=SETTLED):
             break
     return Fitted(settled, data, noise, lack, device, outlier_factor=before)
 
 
+def _down_weighted(device: Noise, factor: np.ndarray, discrepancy: PerUnit) -> Noise:
+    """Return the device's noise enlarged so that each row's total, discrepancy included, grows by its factor (n_rows,).
+
+    A factor of the device's noise alone would leave an outlier its weight where the model's own error is larger.
+    """
+    total = replace(device, discrepancy=discrepancy).total
+    return replace(device, sigma=np.sqrt(device.sigma**2 + (factor**2 - 1) * total**2))
+
+
 def _excess(fit: Fit, outlier_factor: np.ndarray) -> np.ndarray:
-    """Return each row's error over HUBER robust standard deviations, at least 1, shape (n_rows,)."""
+    """Return each row's error over HUBER standard deviations, at least 1, shape (n_rows,).
+
+    Their scale is that of all rows so weighted, Huber's proposal 2: the noise and discrepancy of the fit. A median would be smaller
+    where a smooth error is left, and its peaks would count as outliers.
+    """
     leading = fit.stacking.leading
     size = np.sqrt(fit.stacking.by_row(np.where(leading, fit.residual**2, 0.0))) * outlier_factor
-    units = fit.stacking.by_row(leading.astype(float)).astype(int)
-    scale = float(np.median(size / median_length(units)))
-    return np.asarray(np.maximum(1.0, size / (HUBER * scale)))
+    return np.asarray(np.maximum(1.0, size / HUBER))
