@@ -106,6 +106,20 @@ def test_what_cannot_be_told_is_asked_for(folder, content, expected):
     assert not (folder / "measurements.csv").exists()
 
 
+@pytest.mark.parametrize(
+    ("columns", "kind"), [("length_mm", "distance"), ("px_x_mm,px_y_mm,px_z_mm,u_px,v_px", "camera")]
+)
+def test_what_another_device_reports_is_left_to_the_study(folder, columns, kind):
+    """Fails if lengths or image points are taken for those of a wrong robot, and nothing says how a study reads them."""
+    rng = np.random.default_rng(4)
+    rows = pd.DataFrame(rng.uniform(-90, 90, (20, 6)), columns=[f"q{k}_deg" for k in range(1, 7)])
+    given = rows.assign(**{name: rng.uniform(100, 900, 20) for name in columns.split(",")})
+    given.to_csv(folder / "theirs.csv", index=False)
+    answer = in_process("import", folder / "theirs.csv", "--into", folder)
+    assert (answer.code, len(answer.err.splitlines())) == (2, 1)
+    assert f'kind = "{kind}"' in answer.err
+
+
 def test_lettered_joints_are_told_by_their_names(folder):
     """Fails if joints that are lettered have to be stated one by one, or their letter is taken for a unit."""
     of = campaign(cf.Robot.from_toml(folder / "robot.toml"), 2)

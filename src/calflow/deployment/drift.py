@@ -320,7 +320,10 @@ def drift(
     if not len(data):
         raise refuse("expected rows, found none", key="data")
     if not data.has_positions:
-        raise refuse("expected a measured position in every row: what moved is told by positions alone", key="data")
+        raise refuse(
+            "expected a measured position in every row: what moved is told by positions alone; calflow validate takes other rows",
+            key="data",
+        )
     given = data.stating([*AT_REST, *(need.condition for need in calibrated.needed)]).given
     calibrated = calibrated.later(given, data)
     attained = Attained.of(calibrated, data)

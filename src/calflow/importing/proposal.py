@@ -10,6 +10,7 @@ import numpy as np
 
 from calflow.files.deferred import pd
 from calflow.files.problems import InputError, Problem, nearest, refuse, refuse_any
+from calflow.files.units import split_unit
 from calflow.files.words import listed, rounded
 from calflow.importing.bag import bag_tables, is_bag
 from calflow.importing.column_choice import ONE_POSE, Choice, chosen_columns
@@ -18,6 +19,8 @@ from calflow.importing.foreign_table import ForeignTable, foreign_tables
 from calflow.importing.joined_rows import ONLY, Joined, joined_rows
 from calflow.importing.joint_mapping import FACTORS, SCALES, FittedReading, FlangeKinematics, readings_of
 from calflow.importing.orientation import infer_orientations
+from calflow.measurements.rows import POSES
+from calflow.observations import observation_kinds
 from calflow.robot.robot import Robot
 
 
@@ -69,7 +72,21 @@ def propose_import(
             return _proposed(joined.still(robot), robot, settings, sigma_rotation)
         except InputError as error:
             problems += error.problems
-    raise InputError(dict.fromkeys(problems))
+    raise InputError([*_of_other_kinds(tables)] or dict.fromkeys(problems))
+
+
+def _of_other_kinds(tables: Sequence[ForeignTable]) -> Iterator[Problem]:
+    """Return for each table that has what another device than one of positions reports, how a study reads it."""
+    for table in tables:
+        names = {(split_unit(column.name) or (column.name,))[0] for column in table.columns}
+        asked = {kind.id: {*kind.columns.needed, *kind.columns.within} for kind in observation_kinds().values()}
+        suited = [name for name in asked if asked[name] and not {*POSES.needed} & asked[name] and asked[name] <= names]
+        if suited:
+            kind = max(suited, key=lambda name: len(asked[name]))
+            yield Problem(
+                f'{table.path.name}: has what kind = "{kind}" reads, and no points to import: name the file in the study, with '
+                "that kind, and its columns in [measurements.columns] if they have other names"
+            )
 
 
 def stated_columns(pairs: Sequence[str]) -> dict[str, str]:
