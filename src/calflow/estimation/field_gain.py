@@ -8,7 +8,7 @@ import numpy as np
 import scipy
 
 from calflow.estimation.accuracy import errors
-from calflow.estimation.calibrated_model import CalibratedModel, field_correction, position_variance
+from calflow.estimation.calibrated_model import CalibratedModel, field_correction, promised_variance
 from calflow.estimation.leverage import halved
 from calflow.estimation.noise import conditions
 from calflow.estimation.progress import SAME, Draws
@@ -25,6 +25,7 @@ from calflow.estimation.residual_field import (
 )
 from calflow.files.deferred import pd
 from calflow.files.tables import Results, to_document, to_frame
+from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements
 
 MIN_POSES = 16  # poses, below which no field is learnt
@@ -201,9 +202,7 @@ def _accuracy(
 def _judged(correction: str, calibrated: CalibratedModel, data: Measurements, error: np.ndarray) -> FieldAccuracy:
     """Return the accuracy at held-out rows of a model, corrected by its field if it has one; error (n, 3) [m] is uncorrected."""
     off = error + field_correction(calibrated, data.conditions)
-    noise = calibrated.noise(data).sigma if calibrated.noise_known else np.zeros(len(data))
-    sd = np.sqrt(position_variance(calibrated, data.conditions) + np.nan_to_num(noise)[:, None] ** 2)
-    covered = float((np.abs(off) < CERTAIN * sd).mean())
+    covered = float((np.abs(off) < CERTAIN * np.sqrt(promised_variance(calibrated, data, METRE))).mean())
     return _row(correction, "holdout", np.linalg.norm(off, axis=1), covered)
 
 
