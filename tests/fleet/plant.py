@@ -90,12 +90,6 @@ def broken(plant: Plant, robot: str) -> None:
     path.write_text(path.read_text(encoding="utf-8").replace("y_mm", "y_mmm", 1), encoding="utf-8")
 
 
-def mended(plant: Plant, robot: str) -> None:
-    """Spell the column right."""
-    path = plant.measurements(robot)
-    path.write_text(path.read_text(encoding="utf-8").replace("y_mmm", "y_mm", 1), encoding="utf-8")
-
-
 BEFALLS = """\
 import sys
 if {"calibrate", "ROBOT"} <= set(sys.orig_argv):

@@ -30,6 +30,7 @@ class Executor(RemoteExecutor):
         self.report_job_submission(SubmittedJobInfo(job, external_jobid=str(process.pid), aux={"process": process}))
 
     async def check_active_jobs(self, active_jobs):
+        self.next_seconds_between_status_checks = 0.1
         for one in active_jobs:
             code = one.aux["process"].poll()
             if code is None:
@@ -63,7 +64,7 @@ def test_a_cluster_is_given_so_many_robots_as_one_job_wherever_they_lie(plant, m
         answer = hall.fleet(command)
         assert (answer.code, hall.out.exists()) == (2, False)
         assert "--allow" in answer.err
-    options = ("--executor", "toy", "--jobs", 2, "--seconds-between-status-checks", 1)
+    options = ("--executor", "toy", "--jobs", 2)
     answer = hall.fleet("run", "--batch", 2, "--allow", elsewhere, "--", *options)
     assert answer.code == 0, (hall.out / "snakemake.log").read_text()
     assert (tmp_path / "submitted").read_text().split() == ["2"]

@@ -7,15 +7,20 @@ import os
 from calflow.fleet.engine import FleetFolder
 from calflow.fleet.fleet import load_fleet
 from calflow.fleet.standing import forget_stale
-from fleet.plant import calibrated
+from fleet.plant import ROBOTS, broken, calibrated
 
 
 def test_other_measurements_are_noticed_whatever_their_date(plant):
-    """Fails if a file that was copied with its old date, or written after a clock was set back, leaves a robot as it was."""
+    """Fails if a file that was copied with its old date, or written after a clock was set back, leaves a robot as it was.
+
+    Nor may what failed not be tried again.
+    """
     loaded, folder = load_fleet(plant.file), FleetFolder(plant.out)
-    calibrated(loaded, folder, ["A-1", "B-2"])
+    broken(plant, "C-3")
+    found = calibrated(loaded, folder, ROBOTS)
+    assert [found[name].status for name in ROBOTS] == ["calibrated", "calibrated", "failed"]
     forget_stale(loaded, folder)
-    assert folder.outcome("A-1").exists()
+    assert [folder.outcome(name).exists() for name in ROBOTS] == [True, True, False]
     measured = plant.measurements("A-1")
     measured.write_text(measured.read_text() + "\n")
     os.utime(measured, (1e9, 1e9))  # of the year 2001
