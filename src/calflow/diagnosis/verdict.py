@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain, combinations
+from itertools import chain, combinations, starmap
 from types import MappingProxyType
 from typing import Generic, Literal
 
@@ -226,8 +226,8 @@ def models_in_reach(
         _Choice("besides", None, score.cause, -score.cost / 2 - places) for score in beside if _is_small(score.cause)
     ]
     for choices in (*map(_in_its_place, small), besides):
-        chosen = [_changed(model, choice) for model in models for choice in choices]
-        models += [model for model in chosen if model.log_weight > -REACH and _differ(model.causes)]
+        near = [(model, one) for model in models for one in choices if model.log_weight + one.log_weight > -REACH]
+        models += [changed for changed in starmap(_changed, near) if _differ(changed.causes)]
         models = [models[0], *sorted(models[1:], key=lambda model: -model.log_weight)[: MOST_IN_REACH - 1]]
     if suspected:
         used = models[0]
