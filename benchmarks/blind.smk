@@ -7,7 +7,7 @@ job. A job draws all cases, as they follow from the seed, and works on its own.
 import sys
 from pathlib import Path
 
-from calflow.fleet.calibration import made_by
+from calflow.run_folder import code_digest, versions
 
 SCRIPT = Path(config["script"])
 JOBS = range(-(-config["number"] // config["batch"]))
@@ -31,7 +31,7 @@ rule work:
     output:
         "job_{job}.json",
     params:
-        made_by=made_by(),
+        made_by=[code_digest(), versions()],
         asked=[config["what"], config["number"], "--seed", config["seed"], "--batch", config["batch"]],
     retries: 1
     shell:
