@@ -267,10 +267,11 @@ def drift_by_session(bench: Bench) -> Twin:
 
 
 def wander(bench: Bench) -> Twin:
-    """The third wave of a curve in time, tied to zero a twentieth of the time before the first row and after the last."""
+    """The third wave of a curve in time, about its mean; it ends a twentieth of the time before the first row and after the last."""
     end, shift = float(bench.data.table["time"].max()), np.array([1e-4, -2e-4, 5e-5])
     values = dict(zip(("device.wave3x", "device.wave3y", "device.wave3z"), shift, strict=True))
-    curve = np.sin(3 * pi * (bench.rows.time / end + 0.05) / 1.1)
+    wave = lambda share: np.sin(3 * pi * (share + 0.05) / 1.1)  # noqa: E731
+    curve = wave(bench.rows.time / end) - wave(np.linspace(0.0, 1.0, 10_001)).mean()
     wandered = lambda point, rows: point + curve[:, None] * shift  # noqa: E731
     return Twin(made(bench, "frame-drift", length=0.5, end=end), values, wandered)
 

@@ -27,8 +27,8 @@ class FrameDrift(Effect):
 
     Where the time is unknown, t is the share of all rows measured so far, and rows is their number (0: time is known). With
     starts [s, or share], t restarts in each of the sessions. With a length, a correlation length as a share of the time, the
-    shift is a smooth curve of t from 0 to end instead, in the sessions measured meanwhile; later, or in any other session,
-    the device is taken to stand where it stood on average.
+    shift is a smooth curve of t from 0 to end instead, in the sessions measured meanwhile. It is about its mean, which no data
+    tell from the station: later, or in any other session, the device is taken to stand where it stood on average.
     """
 
     turning: bool = False
@@ -117,10 +117,10 @@ class FrameDrift(Effect):
         if self.length:
             curve = waves(passed / self.end, 0.0, 1.0, self.length, RESOLVED * self.length)
             named = [row.session == session_number(name) for name in self.sessions if row.session.nnz()]
-            # Blends to the mean over the margin in which the waves fall to zero, so that the shift stays continuous.
+            # Blends to zero over the margin in which the waves do, so that the shift stays continuous.
             beyond = ca.fmin(1, ca.fmax(0, 2 * (passed / self.end - 1) / (MARGIN - 1)))
             there = sum(named) if named else 1
-            values = [there * wave.value + (1 - there * (1 - beyond)) * wave.mean for wave in curve]
+            values = [there * (wave.value - (1 - beyond) * wave.mean) for wave in curve]
             return point + ca.reshape(p, 3, len(curve)) @ ca.vertcat(*values)
         return point + displaced(p, point) * passed
 
