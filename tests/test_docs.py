@@ -98,9 +98,8 @@ def test_what_the_pages_promise_comes_true(tmp_path, monkeypatch):
         pytest.skip("CALFLOW_DATA names no folder with fanuc-r2000, the tutorial's measurements")
     monkeypatch.chdir(tmp_path)
     said = dict[str, str]()
-    shorter = {"next": few_causes, "reproduce": shorter_run}
     for page in PAGES:
-        with shorter.get(page, nullcontext)(tmp_path):
+        with shorter_run(tmp_path) if page == "reproduce" else nullcontext():
             said |= follow(page_text(page).replace("candidates = 500", "candidates = 150"), run)  # sooner chosen
     commands_land(tmp_path, said)
     page_one_is_read_at_a_glance(tmp_path)
@@ -108,16 +107,6 @@ def test_what_the_pages_promise_comes_true(tmp_path, monkeypatch):
     tasks_write_what_they_say(tmp_path)
     what_is_not_physical_is_called_so(tmp_path, said)
     ros_reads_the_same_robot(tmp_path)
-
-
-@contextmanager
-def few_causes(folder: Path) -> Iterator[None]:
-    """Have the page's commands try two causes: the tutorial's have tried all by the same data."""
-    study = folder / "my-robot" / "study.toml"
-    whole = study.read_text(encoding="utf-8")
-    study.write_text(f'{whole}\n[stages.diagnose]\ncatalogue = ["joint-eccentricity", "tool-sag"]\n', encoding="utf-8")
-    yield
-    study.write_text(whole, encoding="utf-8")
 
 
 @contextmanager
