@@ -267,7 +267,7 @@ def drift_by_session(bench: Bench) -> Twin:
 
 
 def wander(bench: Bench) -> Twin:
-    """The third wave of a curve in time, about its mean; it ends a twentieth of the time before the first row and after the last."""
+    """The third wave of a curve in time, about its mean; it ends a twentieth of the time before and after all rows."""
     end, shift = float(bench.data.table["time"].max()), np.array([1e-4, -2e-4, 5e-5])
     values = dict(zip(("device.wave3x", "device.wave3y", "device.wave3z"), shift, strict=True))
     wave = lambda share: np.sin(3 * pi * (share + 0.05) / 1.1)  # noqa: E731
