@@ -32,6 +32,7 @@ VARIANTS = {  # how many forms there are to try, where not one
     "gravity-deflection": 2,
     "link-bending": 3,
     "bearing-compliance": 2,
+    "axis-wobble": 2,
     "joint-hysteresis": 5,
     "joint-error-map": 3,
     "tool-deflection": 4,

@@ -36,7 +36,7 @@ def by_rule(bench: Bench) -> np.ndarray:
 
 
 AGAINST: dict[str, tuple[str, Callable[[Bench, int], np.ndarray]]] = {
-    **dict.fromkeys(("joint-eccentricity", "periodic-joint-error", "gear-transmission-error", "joint-error-map",
+    **dict.fromkeys(("joint-eccentricity", "axis-wobble", "periodic-joint-error", "gear-transmission-error", "joint-error-map",
                      "loaded-transmission-error",
                      "gear-ratio-error", "gravity-deflection", "gravity-compensator"), ("deg", ANGLE)),
     "wrist-coupling": ("deg", lambda bench, joint: ANGLE(bench, joint - 1)),

@@ -112,6 +112,15 @@ def bearing(joint: int, size: float) -> Callable[[Bench], Twin]:
     return lambda bench: Twin(made(bench, hidden.cause), values, hidden)
 
 
+def wobble(bench: Bench) -> Twin:
+    """An axis that tilts round the housing twice a turn does so once a turn of the link."""
+    hidden = Hidden("axis-wobble", 2, 2e-4, seed=4)
+    phase = hidden.rng.uniform(0, 2 * pi)
+    x, y = hidden.size * np.cos(phase), hidden.size * np.sin(phase)
+    values = {"joint2.cos_x": x, "joint2.sin_x": -y, "joint2.cos_y": y, "joint2.sin_y": x}
+    return Twin(made(bench, "axis-wobble", order=1), values, hidden)
+
+
 def bearing_beside(bench: Bench) -> Twin:
     """A pivot beside the joint's frame: its lever counts to first order."""
     hidden = Hidden("offset-bearing", 4, 4e-8, 0.1, seed=2)
@@ -354,6 +363,7 @@ TWINS: dict[str, Callable[[Bench], Twin]] = {
         for link, size in enumerate(sizes, start=1)
     },
     "bearing-compliance, beside its joint": bearing_beside,
+    "axis-wobble": wobble,
     "base-compliance, alike": one("base-compliance", "base.c", Hidden("base-compliance", 0, 1e-8)),
     "base-compliance, by direction": base_by_direction,
     "gravity-compensator": compensator,

@@ -164,6 +164,14 @@ def bearing_compliance(h: Hidden, robot: Robot, rows: Rows, state: State) -> Mot
     return _motion(robot, rows, "bearing", soft * state.moment[:, h.joint - 1], h.joint - 1)
 
 
+def axis_wobble(h: Hidden, robot: Robot, rows: Rows, state: State) -> Motion:
+    """An axis that tilts towards a direction which goes round the housing twice a turn, by a bearing of two lobes."""
+    towards = h.rng.uniform(0, 2 * np.pi) + 2 * rows.q[:, h.joint - 1]
+    in_link = towards - rows.q[:, h.joint - 1]
+    tilt = h.size * np.stack([np.cos(in_link), np.sin(in_link), np.zeros(len(rows))], axis=1)
+    return _motion(robot, rows, "bearing", tilt, h.joint - 1)
+
+
 SOFT = 0.5  # rad from x
 
 
@@ -308,6 +316,7 @@ ON_MOTION = {
     "joint-compliance": joint_compliance,
     "gravity-deflection": joint_compliance,  # the same spring, where the study does not know the masses
     "bearing-compliance": bearing_compliance,
+    "axis-wobble": axis_wobble,
     "base-compliance": base_compliance,
     "link-bending": link_bending,
     "link-torsion": link_torsion,

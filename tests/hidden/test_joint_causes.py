@@ -49,6 +49,16 @@ def test_play_and_a_hardening_spring_of_a_joint_are_one_curve_of_its_torque(tmp_
     assert seen.causes.iloc[0]["family_probability"] > 0.99
 
 
+def test_an_axis_that_wobbles_is_no_eccentricity(tmp_path) -> None:
+    """Breaks if a bearing that does not run true is called an error of the angle, or missed where none of these can be it."""
+    wobbling = only("axis-wobble", "joint-eccentricity", "periodic-joint-error", "bearing-compliance", "link-bending")
+    seen = found(tmp_path, case("serial", Hidden("axis-wobble", 2, 2e-4), settings=wobbling), 11)
+    assert list(zip(seen.causes["cause"], seen.causes["joint"].astype(int), strict=True)) == [("axis-wobble", 2)], (
+        seen.causes
+    )
+    assert seen.unexplained.empty
+
+
 FORMS = {  # a spring is no eccentricity, and a bearing's pivot not its joint's frame
     "spring, and bearing aside": (
         (Hidden("spring-compensator", 2, 2e4), "gravity-compensator"),

@@ -610,7 +610,9 @@ def validated(
         "calibrated": SimpleNamespace(mean=0.2, max=0.25, rms_low=rms_low),
     }
     models["figures"] = SimpleNamespace(mean=0.4, max=0.5, rms_low=rms_low)
-    summary = SimpleNamespace(status=status, tolerance=tolerance, judged=judged, promised=0.1, of_positions=True)
+    summary = SimpleNamespace(
+        status=status, tolerance=tolerance, judged=judged, promised=0.1, unit="mm", of_positions=True
+    )
     return SimpleNamespace(summary=summary, judged=models[judged], of=models.__getitem__)
 
 

@@ -30,6 +30,7 @@ from calflow.estimation.noise import MIN_REPEATS
 from calflow.estimation.parameters import FittedParameter
 from calflow.faults.base import FaultyRow
 from calflow.files.deferred import pd
+from calflow.files.units import METRE
 from calflow.files.words import (
     first_up,
     interval,
@@ -585,7 +586,8 @@ def after_validation(validation: Validation) -> str:
     if summary.status == "cannot be told":
         return "Measure more poses that no fit has seen, where the robot is to work, and validate with all of them."
     if summary.tolerance is None:
-        return "State what the robot may err by (--tolerance-mm) and validate again, for a verdict that can be signed."
+        option = "--tolerance-mm" if summary.unit == METRE.label else "--tolerance"
+        return f"State what the robot may err by ({option}) and validate again, for a verdict that can be signed."
     if summary.judged == "figures" and validation.of("calibrated").max <= summary.tolerance:
         return "Send corrected commands (calflow compensate, calflow filter): with them these poses are within the tolerance."
     if judged.rms_low > summary.promised:
