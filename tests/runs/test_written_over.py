@@ -13,7 +13,7 @@ WRITTEN = {
     "predict": ("rows.csv", "--out"),
     "export": ("--to", "dh", "--out"),
     "check-poses": ("measurements.csv", "--out"),
-    "filter": ("points.ls", "--summary"),
+    "filter": ("points.ls", "--payload", "heavy", "--summary"),
 }
 
 

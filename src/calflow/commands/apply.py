@@ -143,7 +143,7 @@ def export_command(study_or_run: Path, to: Format, beside: tuple[Path, ...], out
 @click.option("--out", type=FILE, help="What to write; NAME.corrected.EXT beside the program by default.")
 @OVER
 @click.option("--summary", type=FILE, help="CSV to write with what became of each target.")
-@click.option("--payload", help="What is carried, by its name in the robot file.")
+@click.option("--payload", help='What is carried, by its name in the robot file; "": nothing.')
 @click.option(
     "--tool",
     "tools",

@@ -17,7 +17,7 @@ import numpy as np
 from calflow.deployment.conventions import Turn, pose_matrix
 from calflow.deployment.prediction import Missing
 from calflow.estimation.calibrated_model import CalibratedModel
-from calflow.estimation.needed_conditions import check_stated
+from calflow.estimation.needed_conditions import check_stated, depended_on
 from calflow.files.problems import InputError, nearest, refuse, unknown_name
 from calflow.files.toml import checked_arguments
 from calflow.files.units import split_unit, to_si
@@ -109,7 +109,7 @@ def filter_program(
     Args:
         calibrated: the calibrated model.
         program: a RAPID, KRL, FANUC LS or URScript file, or a folder or ZIP archive of such files of one controller.
-        payload: name of the payload in the robot file.
+        payload: name of the payload in the robot file; empty: nothing is carried. Needed where the model depends on it.
         tools: `NAME=numbers` defines a tool that the program does not define, in the maker's notation; `NAME` alone is
             the tool of moves that state none.
         frames: the same for work objects, bases and user frames.
@@ -149,6 +149,11 @@ def filter_program(
     given = (*stated, *(("approach", "travel") if in_order else ()))
     if missing == "refuse":
         check_stated(calibrated.needed, given, GO_ON)
+    if payload is None and robot.payloads and "payload" in depended_on(calibrated.model):
+        raise refuse(
+            f'expected {" or ".join(robot.payloads)}, under each of which the robot gives way; "": it carries nothing',
+            key="--payload",
+        )
     if unknown := unknown_name("payload", payload or "", robot.payloads):
         raise refuse(unknown, key="--payload")
     if "time" in stated:
@@ -163,7 +168,7 @@ def filter_program(
         raise InputError(
             replace(problem, file=problem.file and root / problem.file) for problem in error.problems
         ) from None
-    notes = (*_assumptions(programs, robot, payload), *done.notes)
+    notes = (*_coupled(programs, robot), *done.notes)
     rows = (*(skipped_row(file, entry) for file, entry in unread), *done.rows)
     return replace(done, files={**files, **done.files}, rows=rows, notes=notes)
 
@@ -173,10 +178,8 @@ def _rows(robot: Robot, stated: Mapping[str, Any], readings: np.ndarray) -> Meas
     return Measurements.from_arrays(robot, readings, None, pose=np.arange(len(readings)), **stated)
 
 
-def _assumptions(programs: Sequence[Program], robot: Robot, payload: str | None) -> Iterator[str]:
-    """Notes on a payload that is not stated, and on a coupling that FANUC's joint targets have."""
-    if payload is None and robot.payloads:
-        yield f"no --payload: the robot is taken to carry none of {', '.join(robot.payloads)}"
+def _coupled(programs: Sequence[Program], robot: Robot) -> Iterator[str]:
+    """Note the coupling that FANUC's joint targets have."""
     joint_targets = any(target.turn is None for _, target in all_targets(programs))
     if programs[0].maker == "fanuc" and joint_targets and not robot.couplings:
         yield COUPLED
