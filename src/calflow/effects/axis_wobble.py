@@ -7,7 +7,7 @@ from itertools import product
 
 import casadi as ca
 
-from calflow.effects.base import STRUCTURE, Effect, Words, joint_variable
+from calflow.effects.base import Effect, Words, joint_variable
 from calflow.robot.mechanism import Deflection, Row, State
 from calflow.robot.parts import Parameter
 
@@ -29,7 +29,6 @@ class AxisWobble(Effect):
     title = "axis wobble (tilt error motion)"
     forms = {1: "order 1", 2: "order 2"}
     words = Words("axis wobble", "the joint's axis tilts as it turns: its bearing does not run true", "tilt")
-    family = STRUCTURE
     side_by_side = True
     told_by = "watch two markers far apart on the link while the joint turns alone"
 
