@@ -428,9 +428,8 @@ def _alternatives(rows: Sequence[AlternativeParameter], model: Model) -> tuple[A
         come = [effect for effect in read_effects([first], model.robot) if isinstance(effect, Cause)]
         effects = (*(effect for effect in model.effects if effect != gone), *come)
         other = replace(model, effects=effects)
-        stated = {
-            row.parameter: row.estimate for row in rows_of
-        }  # in the order of the findings, which is not the model's
+        # Rows are in the order of the findings, which is not the model's.
+        stated = {row.parameter: row.estimate for row in rows_of}
         estimate = np.array([stated[parameter.name] for parameter in other.parameters])
         alternatives.append(Alternative(other, estimate, first.probability, gone, next(iter(come), None)))
     return tuple(alternatives)
