@@ -88,12 +88,15 @@ def test_a_wire_judges_the_robot_that_it_calibrated(calibrated):
     assert "read as rows of the series 'distance'" in sound.err
     found = validate(calibrated / "runs", calibrated / "lengths.csv")
     assert (found.summary.unit, found.summary.rp_mm, found.summary.freedom_lost) == ("mm", None, 0)
-    assert np.isnan([found.summary.ap_mm, found.poses[0].dx_mm]).all()
+    assert found.summary.ap_mm is None
+    assert np.isnan(found.poses[0].dx_mm)
     assert found.of("nominal").rms_mm > 5 * found.judged.rms_mm
     calibrated.measure(lengths(q, 9, zero=4e-3), "moved.csv")
-    moved = calibrated.calflow("validate", calibrated / "runs", calibrated / "moved.csv", "--tolerance-mm", 1)
+    asked = ("validate", calibrated / "runs", calibrated / "moved.csv", "--tolerance-mm", 1)
+    moved = calibrated.calflow(*asked)
     assert moved.code == 3
     assert "more than chance allows" in moved.out
+    assert calibrated.refused(*asked, "--tolerance", 2)[-1].startswith("--tolerance-mm: is stated twice")
 
 
 def test_new_sockets_are_placed_by_their_own_rows(calibrated):

@@ -137,6 +137,8 @@ def validate_command(
     calibration = cf.Calibration.load(study_or_run)
     data = cf.rows_measured(calibration, rows, series)
     unit = unit_of(data)
+    if tolerance is not None and tolerance_mm is not None:
+        raise refuse("is stated twice: expected this or --tolerance", key="tolerance")
     if tolerance_mm is not None and unit.label != "mm":
         raise refuse(f"these rows are judged in {unit.label}: expected --tolerance in that unit", key="tolerance")
     shown = tolerance if tolerance_mm is None else tolerance_mm

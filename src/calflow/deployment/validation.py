@@ -150,7 +150,7 @@ class ValidationSummary:
     promised_mm: float = column(
         "root mean square error that the calibration predicts for these poses, noise included", "mm"
     )
-    ap_mm: float = column("pose accuracy AP of the worst pose; NaN: no positions were measured", "mm")
+    ap_mm: float | None = column("pose accuracy AP of the worst pose; null: no positions were measured", "mm")
     rp_mm: float | None = column(
         "pose repeatability RP of the worst pose; null: none was measured twice, or no positions", "mm"
     )
@@ -169,7 +169,7 @@ class ValidationSummary:
     @property
     def of_positions(self) -> bool:
         """Whether positions were measured, which ISO 9283 is about, and not lengths, pixels or angles."""
-        return not np.isnan(self.ap_mm)
+        return self.ap_mm is not None
 
 
 @dataclass(frozen=True)
@@ -445,7 +445,7 @@ def _summary(
         moved_mm=max((1e3 * far for far, _ in motions), default=None),
         turned_mrad=max((1e3 * angle for _, angle in motions), default=None), moved_p=compared.moved_p,
         noise_mm=None if noise is None else _or_none(in_mm(noise)), promised_mm=in_mm(promised),
-        ap_mm=attained.position_in_mm(compared.size[compared.judged].max()),
+        ap_mm=_or_none(attained.position_in_mm(compared.size[compared.judged].max())),
         rp_mm=_or_none(in_mm(_largest(attained.repeatability))), fewest_cycles=int(attained.table["rows"].min()),
         cube_edge_mm=_or_none(attained.position_in_mm(cube_edge(attained.expected[CALIBRATED][first]))),
         unit=attained.unit.label, tolerance=None, noise=None if noise is None else shown(noise), promised=shown(promised),

@@ -88,7 +88,7 @@ def _what_follows(validation: Validation) -> list[str]:
     """Return sentences on the error to expect at other poses, and its agreement with the calibration's prediction."""
     summary = validation.summary
     probability = [_probability(summary)] if summary.tolerance is not None else []
-    return [*probability, _promise(validation), *([_iso(summary)] if summary.of_positions else [])]
+    return [*probability, _promise(validation), *_iso(summary)]
 
 
 def _of_what(summary: ValidationSummary) -> list[str]:
@@ -100,14 +100,20 @@ def _of_what(summary: ValidationSummary) -> list[str]:
     return [f"The verdict is about the robot with {'the ' * (summary.sent == 'program filter')}{summary.sent}."]
 
 
-def _iso(summary: ValidationSummary) -> str:
-    """Return sentences on AP and RP, and the poses that they refer to."""
+def _iso(summary: ValidationSummary) -> list[str]:
+    """Return sentences on AP and RP, and the poses that they refer to; nothing where no positions were measured."""
+    if summary.ap_mm is None:
+        return []
     worst = f"the worst of {plural(summary.poses, 'pose')}"
     if summary.cube_edge_mm:
         worst += f", those of the standard's cube of {summary.cube_edge_mm:.0f} mm"
     if summary.rp_mm is None:
-        return f"ISO 9283: pose accuracy AP {mm(summary.ap_mm)} mm ({worst}); no repeatability, as no pose was measured twice."
-    return f"ISO 9283: pose accuracy AP {mm(summary.ap_mm)} mm, pose repeatability RP {mm(summary.rp_mm)} mm ({worst})."
+        return [
+            f"ISO 9283: pose accuracy AP {mm(summary.ap_mm)} mm ({worst}); no repeatability, as no pose was measured twice."
+        ]
+    return [
+        f"ISO 9283: pose accuracy AP {mm(summary.ap_mm)} mm, pose repeatability RP {mm(summary.rp_mm)} mm ({worst})."
+    ]
 
 
 def _probability(summary: ValidationSummary) -> str:
