@@ -59,7 +59,7 @@ CAPPED = (
     "found."
 )
 FITTED = "used for the fit (none were held out)"
-LEFT_OPEN, CAUSES_LISTED = 6, 4  # open questions and causes on the first page
+LEFT_OPEN, CAUSES_LISTED = 4, 4  # open questions and causes on the first page
 RARE = 0.05  # p-value below which chance is unlikely
 LASTING = 1.5  # growth of the promised error within a day up to which the first page does not state it
 EVEN = 0.5  # p-value above which it is not reported
