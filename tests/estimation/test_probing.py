@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 
 from calflow.effects import Effect, catalogue
 from calflow.effects.base import Cause, parts
-from calflow.estimation.error_model import SlopeProducts, usual_sizes
+from calflow.estimation.error_model import normal_equations, usual_sizes
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import Noise
 from calflow.estimation.probing import Probe, probed
@@ -118,14 +118,6 @@ def test_an_images_points_have_their_slopes_in_common(tmp_path, correlation):
     assert problem.blocks[0].sharing.correlation == correlation
     rows = problem.blocks[0].sharing.decorrelated(rows)
     rows = rows.reshape(2 * len(data), -1)
-    found = SlopeProducts.of(problem, model.nominal, functions)
-    n, size = len(model.nominal), np.linalg.norm(rows, axis=0).clip(1e-9)
-    for sums, one, other in (
-        (found.fitted, slice(n), slice(n)),
-        (found.mixed, slice(n), slice(n, -1)),
-        (found.functions, slice(n, -1), slice(n, -1)),
-        (found.functions_left, slice(n, -1), -1),
-        (found.left, -1, -1),
-    ):
-        scale = np.multiply.outer(size[one], size[other])
-        assert_allclose(sums / scale, rows[:, one].T @ rows[:, other] / scale, atol=1e-11)
+    found = normal_equations(problem, model.nominal, functions)
+    size = np.linalg.norm(rows, axis=0).clip(1e-9)
+    assert_allclose(found.products / np.outer(size, size), rows.T @ rows / np.outer(size, size), atol=1e-11)

@@ -24,7 +24,7 @@ from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import representative
 from calflow.estimation.probing import Probe
 from calflow.estimation.smooth_functions import SmoothFunction, is_mean, means, smooth_functions
-from calflow.estimation.variance_components import VarianceComponents
+from calflow.estimation.variance_components import NormalEquations, VarianceComponents
 from calflow.files.deferred import pd
 from calflow.files.plugins import subclasses
 from calflow.files.tables import column, typed
@@ -261,19 +261,23 @@ def beside_smooth_errors(sizes: SmoothVariances, variance: np.ndarray, elsewhere
     rest = float(np.sqrt(max(level * problem.scatter**2 - device**2, 0.0)))
     if not functions:
         return result, ErrorModel.white(float(np.hypot(rest, elsewhere)), len(estimate))
-    size = np.sqrt(variance[sizes.part[active]])
-    products = sizes.products.only(active)
-    if products.size < problem.size:
-        products = SlopeProducts.of(problem.reweighted(estimate, result.loss), estimate, functions)
-    here = products.sized(size, level)
-    offset = here.step(model, estimate)
-    information, inverse = here.information(model), here.inverse
-    value, axes = np.linalg.eigh(np.eye(len(inverse)) - inverse)
+    n, here = len(estimate), len(active)
+    equations = sizes.equations.only(np.append(np.arange(n), n + active))
+    if equations.number < problem.size:
+        equations = normal_equations(problem.reweighted(estimate, result.loss), estimate, functions)
+    size = np.sqrt(level * variance[sizes.part[active]])
+    both = equations.over(level).scaled(np.append(np.ones(n), size)).with_prior(
+        np.append(estimate - model.prior_mean, np.zeros(here)), np.append(model.prior_sd**-2.0, np.ones(here))
+    )  # fmt: skip
+    beside = both.beside(np.arange(n, n + here))
+    offset, information = _step(beside, model, estimate), beside.gram
+    inverse, mixed = np.linalg.inv(both.gram[n:, n:]), both.gram[n:, :n]
+    value, axes = np.linalg.eigh(np.eye(here) - inverse)
     errors = ErrorModel(
         functions,
-        np.sqrt(level) * size * usual_sizes(model, functions),
-        -inverse @ (here.functions_left + here.mixed.T @ offset),
-        np.ascontiguousarray(inverse @ here.mixed.T),
+        size * usual_sizes(model, functions),
+        -inverse @ (both.score[n:] + mixed @ offset),
+        inverse @ mixed,
         np.ascontiguousarray((axes * np.sqrt(np.maximum(value, 0.0)))[:, value > MIN_REDUCTION]),
         offset,
         rest,
@@ -295,15 +299,15 @@ class SmoothVariances:
     """The variances of smooth functions beside a model.
 
     result: the fit to rows with independent errors; data: these rows; known: whether the device's noise is known independently of
-    the fit; kinds: inputs and functions of each part; products: inner products at a representative subset of the rows. Means,
-    which a zero imitates, are not used to estimate a part's variance.
+    the fit; kinds: inputs and functions of each part; equations: those of parameters and functions, of a representative subset of
+    the rows. Means, which a zero imitates, are not used to estimate a part's variance.
     """
 
     result: Fit
     data: Measurements
     known: bool
     kinds: list[tuple[tuple[str, ...], list[SmoothFunction]]]
-    products: SlopeProducts
+    equations: NormalEquations
 
     @staticmethod
     def of(result: Fit, data: Measurements, known: bool) -> SmoothVariances:
@@ -312,15 +316,15 @@ class SmoothVariances:
         parts = smooth_functions(problem, result.estimate, data)
         kinds = [(inputs, [*effects, *means(effects)]) for inputs, effects in parts]
         functions = [effect for _, effects in kinds for effect in effects]
-        return SmoothVariances(result, data, known, kinds, SlopeProducts.of(problem, result.estimate, functions))
+        return SmoothVariances(result, data, known, kinds, normal_equations(problem, result.estimate, functions))
 
     def without(self, effects: Sequence[Effect]) -> SmoothVariances:
         """Return the variances beside the model without some effects, on which residuals depend linearly."""
-        columns = np.concatenate([self.result.model.columns(effect) for effect in effects])
-        estimate = self.result.estimate.copy()
-        estimate[columns] = 0.0
-        products = self.products.without(columns, self.result.estimate[columns])
-        return replace(self, result=replace(self.result, estimate=estimate), products=products)
+        before, n = self.result.estimate, len(self.result.estimate)
+        gone = np.isin(np.arange(n + len(self.part)), np.concatenate([*map(self.result.model.columns, effects)]))
+        estimate = np.where(gone[:n], 0.0, before)
+        equations = self.equations.about(np.append(estimate - before, np.zeros(len(self.part)))).scaled(1.0 - gone)
+        return replace(self, result=replace(self.result, estimate=estimate), equations=equations)
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -352,10 +356,16 @@ class SmoothVariances:
     @cached_property
     def components(self) -> VarianceComponents:
         """The restricted likelihood of the variances."""
-        problem = self.result.problem
+        result, problem, model = self.result, self.result.problem, self.result.model
         floor = float(np.median((problem.sigma / problem.total) ** 2)) if self.known else 0.0
-        return self.products.only(self.informative).beside(
-            self.result, self.part[self.informative], len(self.kinds), floor
+        n, none = len(result.estimate), np.zeros(len(self.part))
+        free, smooth = np.flatnonzero(~result.at_bound), self.informative
+        offset, precision = result.estimate - model.prior_mean, model.prior_sd**-2.0
+        both = self.equations.with_prior(np.append(offset, none), np.append(precision, none))
+        beside = both.only(np.append(free, n + smooth)).beside(np.arange(len(free)))
+        freedom = self.equations.number - result.effective_parameters
+        return VarianceComponents(
+            self.part[smooth], len(self.kinds), beside.gram, beside.score, beside.chi2, freedom, floor
         )
 
     @cached_property
@@ -382,113 +392,27 @@ class SmoothVariances:
 
     def _visible(self, variance: np.ndarray) -> np.ndarray:
         """Return variances (…, n_parts) that matter beside the noise, the others as zero."""
-        shown = np.diag(self.products.functions)[self.informative]
+        shown = self.equations.gram.diagonal()[len(self.result.estimate) + self.informative]
         moved = np.bincount(self.part[self.informative], shown, len(self.kinds)) * variance
-        return np.where(moved > VISIBLE * self.products.size, variance, 0.0)
+        return np.where(moved > VISIBLE * self.equations.number, variance, 0.0)
 
 
-@dataclass(frozen=True, eq=False)
-class SlopeProducts:
-    """Inner products over all rows of the whitened Jacobian and residual at a point, for a linear fit beside functions.
+def normal_equations(
+    problem: LeastSquares, estimate: np.ndarray, functions: Sequence[SmoothFunction]
+) -> NormalEquations:
+    """Return the normal equations of a problem linearised at an estimate: its parameters, then functions at usual sizes."""
+    probe = Probe.of(problem, estimate, functions).compiled(1)
+    products = np.zeros((probe.shape[1] + 1, probe.shape[1] + 1))
+    for _, left, slopes in probe.parts():
+        both = np.column_stack([slopes, left])
+        products += both.T @ both
+    usual = np.append(np.ones(len(estimate)), usual_sizes(problem.model, functions))
+    return NormalEquations(products, problem.size).scaled(usual)
 
-    fitted (n, n): by the parameters; mixed (n, m): by parameters and functions at their size; functions (m, m): by functions;
-    fitted_left (n,), functions_left (m,), left: those with the residual; size: number of residuals.
-    """
 
-    fitted: np.ndarray
-    mixed: np.ndarray
-    functions: np.ndarray
-    fitted_left: np.ndarray
-    functions_left: np.ndarray
-    left: float
-    size: int
-
-    @staticmethod
-    def of(problem: LeastSquares, estimate: np.ndarray, functions: Sequence[SmoothFunction]) -> SlopeProducts:
-        """Return the products at an estimate, with functions at their usual sizes."""
-        probe, n = Probe.of(problem, estimate, functions).compiled(1), len(estimate)
-        total = np.zeros((probe.shape[1] + 1, probe.shape[1] + 1))
-        for _, left, slopes in probe.parts():
-            both = np.column_stack([slopes, left])
-            total += both.T @ both
-        usual = np.concatenate([np.ones(n), usual_sizes(problem.model, functions), [1.0]])
-        total *= np.outer(usual, usual)
-        return SlopeProducts(
-            total[:n, :n],
-            total[:n, n:-1],
-            total[n:-1, n:-1],
-            total[:n, -1],
-            total[n:-1, -1],
-            float(total[-1, -1]),
-            problem.size,
-        )
-
-    def only(self, kept: np.ndarray) -> SlopeProducts:
-        """Return the products for a subset of the functions, given by indices."""
-        return replace(
-            self,
-            mixed=self.mixed[:, kept],
-            functions=self.functions[np.ix_(kept, kept)],
-            functions_left=self.functions_left[kept],
-        )
-
-    def without(self, columns: np.ndarray, values: np.ndarray) -> SlopeProducts:
-        """Return the products with some parameters (by index) removed from their values, on which residuals depend linearly."""
-        left = self.fitted_left - self.fitted[:, columns] @ values
-        here = ~np.isin(np.arange(len(left)), columns)
-        return replace(
-            self,
-            fitted=self.fitted * np.outer(here, here),
-            mixed=self.mixed * here[:, None],
-            fitted_left=left * here,
-            functions_left=self.functions_left - values @ self.mixed[columns],
-            left=self.left - float(values @ (self.fitted_left + left)[columns]),
-        )
-
-    def sized(self, size: np.ndarray, level: float) -> SlopeProducts:
-        """Return the products with functions of other sizes (m,), and all variances scaled by level."""
-        root = level**0.5
-        return replace(
-            self,
-            fitted=self.fitted / level,
-            mixed=self.mixed * size / root,
-            functions=size[:, None] * self.functions * size,
-            fitted_left=self.fitted_left / level,
-            functions_left=self.functions_left * size / root,
-            left=self.left / level,
-        )
-
-    @cached_property
-    def inverse(self) -> np.ndarray:
-        """Covariance of the functions' amplitudes given the parameters, (m, m)."""
-        return np.linalg.inv(np.eye(len(self.functions)) + self.functions)
-
-    def information(self, model: Model) -> np.ndarray:
-        """Return the parameters' information matrix with the functions integrated out, priors included, (n, n)."""
-        return np.asarray(self.fitted - self.mixed @ self.inverse @ self.mixed.T + np.diag(model.prior_sd**-2.0))
-
-    def step(self, model: Model, estimate: np.ndarray) -> np.ndarray:
-        """Return the step of the parameters (n,) to the maximum posterior density within bounds."""
-        pull = (estimate - model.prior_mean) / model.prior_sd**2
-        gradient = self.fitted_left - self.mixed @ self.inverse @ self.functions_left + pull
-        factor = np.linalg.cholesky(self.information(model) * np.outer(model.prior_sd, model.prior_sd))
-        target = -scipy.linalg.solve_triangular(factor, model.prior_sd * gradient, lower=True)
-        room = ((model.bounds.T - estimate) / model.prior_sd) * (1 - INSIDE)
-        return np.asarray(model.prior_sd * scipy.optimize.lsq_linear(factor.T, target, room).x)
-
-    def beside(self, result: Fit, part: np.ndarray, n_parts: int, floor: float) -> VarianceComponents:
-        """Return the variance components of the functions beside a fit's free parameters; part (m,) indexes their parts."""
-        model, free = result.model, np.flatnonzero(~result.at_bound)
-        offset = (result.estimate - model.prior_mean) / model.prior_sd
-        factor = np.linalg.cholesky(self.fitted[np.ix_(free, free)] + np.diag(model.prior_sd[free] ** -2.0))
-        imitated = scipy.linalg.solve_triangular(factor, self.mixed[free], lower=True)
-        gradient = scipy.linalg.solve_triangular(factor, (self.fitted_left + offset / model.prior_sd)[free], lower=True)
-        return VarianceComponents(
-            part,
-            n_parts,
-            self.functions - imitated.T @ imitated,
-            self.functions_left - imitated.T @ gradient,
-            float(self.left + offset @ offset - gradient @ gradient),
-            self.size - result.effective_parameters,
-            floor,
-        )
+def _step(equations: NormalEquations, model: Model, estimate: np.ndarray) -> np.ndarray:
+    """Return the step of the parameters (n,) from an estimate to the minimum of their normal equations within bounds."""
+    factor = np.linalg.cholesky(equations.gram * np.outer(model.prior_sd, model.prior_sd))
+    target = -scipy.linalg.solve_triangular(factor, model.prior_sd * equations.score, lower=True)
+    room = ((model.bounds.T - estimate) / model.prior_sd) * (1 - INSIDE)
+    return np.asarray(model.prior_sd * scipy.optimize.lsq_linear(factor.T, target, room).x)

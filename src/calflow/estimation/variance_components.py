@@ -17,7 +17,7 @@ out (Kass and Raftery 1995): what counts is how far the data narrow them down, n
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -35,6 +35,66 @@ SIZES = 0.5 ** np.arange(-3.0, 6.0)  # over the usual size: from eight times to 
 LOG_PRIOR = np.log(np.minimum(1.0, 1 / SIZES)) - np.log(np.minimum(1.0, 1 / SIZES).sum())
 HALF_NORMAL = np.exp(-(SIZES**2) / 2)
 PRIOR = HALF_NORMAL / HALF_NORMAL.sum()  # of SIZES, over USUAL's, for the posterior mean of a variance
+
+
+@dataclass(frozen=True, eq=False)
+class NormalEquations:
+    """The normal equations of residuals r + A x that are linear in coefficients x (n,).
+
+    products (n + 1, n + 1): inner products of the columns of A, and of r as the last; number: of residuals.
+    """
+
+    products: np.ndarray
+    number: int
+
+    @property
+    def gram(self) -> np.ndarray:
+        """Gram matrix AᵀA of the coefficients, (n, n)."""
+        return self.products[:-1, :-1]
+
+    @property
+    def score(self) -> np.ndarray:
+        """Gradient Aᵀr of half chi², (n,)."""
+        return self.products[:-1, -1]
+
+    @property
+    def chi2(self) -> float:
+        """Sum of squares rᵀr where all coefficients are zero."""
+        return float(self.products[-1, -1])
+
+    def only(self, kept: np.ndarray) -> NormalEquations:
+        """Return those of some coefficients, given by indices, the others being zero."""
+        kept = np.append(kept, len(self.gram))
+        return replace(self, products=self.products[np.ix_(kept, kept)])
+
+    def scaled(self, unit: np.ndarray) -> NormalEquations:
+        """Return those of the coefficients in other units (n,)."""
+        unit = np.append(unit, 1.0)
+        return replace(self, products=unit[:, None] * self.products * unit)
+
+    def over(self, level: float) -> NormalEquations:
+        """Return those of residuals whose variance is the level."""
+        return replace(self, products=self.products / level)
+
+    def about(self, origin: np.ndarray) -> NormalEquations:
+        """Return those of the coefficients less an origin (n,)."""
+        products = self.products.copy()
+        products[:, -1] += products[:, :-1] @ origin
+        products[-1] += origin @ products[:-1]
+        return replace(self, products=products)
+
+    def with_prior(self, offset: np.ndarray, precision: np.ndarray) -> NormalEquations:
+        """Return those with independent normal priors, offset (n,) being the zero of the coefficients less their prior means."""
+        prior = np.diag(np.append(precision, precision @ offset**2))
+        prior[:-1, -1] = prior[-1, :-1] = precision * offset
+        return replace(self, products=self.products + prior)
+
+    def beside(self, others: np.ndarray) -> NormalEquations:
+        """Return those of the remaining coefficients beside others, given by indices, at their best values or integrated out."""
+        left = np.setdiff1d(np.arange(len(self.products)), others)
+        factor = np.linalg.cholesky(self.products[np.ix_(others, others)])
+        imitated = scipy.linalg.solve_triangular(factor, self.products[np.ix_(others, left)], lower=True)
+        return replace(self, products=self.products[np.ix_(left, left)] - imitated.T @ imitated)
 
 
 @dataclass(frozen=True, eq=False)
