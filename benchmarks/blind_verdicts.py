@@ -11,7 +11,8 @@ from blind_cases import begun
 
 from calflow.diagnosis.extension import FittedTrial
 from calflow.diagnosis.fitted import Fitted
-from calflow.diagnosis.screening import Screening
+from calflow.diagnosis.screening import Family, Screening
+from calflow.diagnosis.stepwise import Screened
 from calflow.estimation.accuracy import errors
 from calflow.estimation.model_tables import calibrated, identified
 from calflow.files.tables import Results
@@ -106,7 +107,8 @@ def true_structure(study: Study, h: Hidden, results: Results) -> Fitted:
     start, catalogue = begun(study, results)
     effects = [effect for effect in catalogue.effects if effect.id == h.cause]
     first = Screening(start.regressors(effects))
-    trial = FittedTrial(first.family, first.degrees_of_freedom, start, catalogue)
+    screened = Screened(tuple(first.scores), Family({}, 1.0), first.degrees_of_freedom)
+    trial = FittedTrial(screened, start, catalogue)
     listed = next(score for score in first.scores if score.cause.joint == h.joint)
     best = trial.finest(listed.cause, trial.causes) or listed
     point = np.concatenate([start.fit.estimate, best.estimate])

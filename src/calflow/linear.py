@@ -30,6 +30,7 @@ from calflow.diagnosis.stepwise import (
     verified,
 )
 from calflow.diagnosis.verdict import verdict
+from calflow.estimation.progress import nobody
 from calflow.estimation.variance_components import Amplitudes, refitted_cost
 from calflow.files.problems import Problem, refuse_any
 from calflow.files.toml import Count, FalseAlarm, checked_arguments
@@ -250,7 +251,7 @@ class LinearTrial(Trial[Block]):
         solution, spans = self.solution, self._columns
         every = [self._amplitudes(block, columns) for block, columns in zip(self.blocks, spans, strict=True)]
         narrowed = solution.narrowed(np.concatenate([[], *spans]).astype(int))
-        cost = refitted_cost(solution.misfit, solution.level, self.degrees_of_freedom, every, narrowed)
+        cost = refitted_cost(solution.misfit, solution.level, self.first.degrees_of_freedom, every, narrowed)
         return cost + self._cost_of_errors
 
     @property
@@ -471,21 +472,20 @@ def _visible(trial: Trial[Block]) -> set[str]:
 
 @dataclass(frozen=True)
 class Search:
-    """A stepwise search: its initial model, the best model, all models tried, and the first screening."""
+    """A stepwise search: its initial model, the best model, and all models tried."""
 
     start: LinearTrial
     best: LinearTrial
     tried: Sequence[Trial[Block]]
-    first: Screened[Block]
 
     @staticmethod
     def of(problem: LinearProblem, acceptance: CauseAcceptance, rng: np.random.Generator, *blocks: Block) -> Search:
         """Return the search from the empty model, and from one with the given blocks if there are any."""
-        first = LinearTrial(Family({}, 1.0), len(problem.residual), problem).linearisation.screened(rng)
-        start = LinearTrial(first.family, first.degrees_of_freedom, problem)
+        bare = LinearTrial(Screened((), Family({}, 1.0), len(problem.residual)), problem)
+        start = replace(bare, first=bare.linearisation.screened(rng))
         further = [start.with_causes(blocks)] if blocks else []
-        best, tried = Stepwise(acceptance, first, rng, lambda _: None, lambda _: None).best(start, *further)
-        return Search(start, start.with_causes(best.causes), tried, first)
+        best, tried = Stepwise(acceptance, rng, nobody, nobody).best(start, *further)
+        return Search(start, start.with_causes(best.causes), tried)
 
 
 def _searched(problem: LinearProblem, acceptance: CauseAcceptance, rng: np.random.Generator) -> Search:

@@ -68,7 +68,7 @@ def test_series_of_two_devices_make_a_cause_no_dearer():
     assert scatter[1] > 3 * scatter[0]
     linear = Linearisation.at(begun, Catalogue((soft,), {}))
     screened = linear.screened(rng)
-    trial = FittedTrial(screened.family, screened.degrees_of_freedom, begun, Catalogue((soft,), {}))
+    trial = FittedTrial(screened, begun, Catalogue((soft,), {}))
     assert screened.scores[0].cost < -20
     assert trial.with_causes([soft]).cost - trial.cost == pytest.approx(screened.scores[0].cost, rel=0.15)
 
@@ -176,13 +176,7 @@ def test_a_search_begins_once_from_each_set_of_causes(monkeypatch, data, found):
     monkeypatch.setattr(extension_module, "_searched", lambda _, beside, *more: searches.append(beside.causes) or again)
     catalogue_ = Catalogue.of(data, ("geometry",), TESTED)
     basis = BackgroundBasis.of(start(data))
-    ended = weighed(
-        start(data),
-        extended.fitted,
-        basis,
-        catalogue_,
-        Stepwise(GATE, extended.first, np.random.default_rng(1), nobody, nobody),
-    )
+    ended = weighed(start(data), extended, basis, catalogue_, Stepwise(GATE, np.random.default_rng(1), nobody, nobody))
     assert searches == [()]
     assert ended.fitted.causes == ended.findings == ()
 
@@ -202,9 +196,7 @@ def test_a_device_that_was_set_up_anew_does_not_give_way_to_an_error_in_time():
     tested = Catalogue.of(begun.data, ("geometry",), ("gear-ratio-error", "session-frame"))
     extended = extend(begun, tested, GATE, np.random.default_rng(1), lambda _: None)
     basis = BackgroundBasis.of(begun)
-    ended = weighed(
-        begun, extended.fitted, basis, tested, Stepwise(GATE, extended.first, np.random.default_rng(1), nobody, nobody)
-    )
+    ended = weighed(begun, extended, basis, tested, Stepwise(GATE, np.random.default_rng(1), nobody, nobody))
     assert extended.fitted.causes == ()
     assert [found.id for found in ended.fitted.causes] == ["session-frame"]
 
@@ -218,8 +210,7 @@ def test_a_device_that_was_set_up_anew_is_no_cause_too_many():
     )
     extended = extend(begun, tested, none, np.random.default_rng(1), lambda _: None)
     basis = BackgroundBasis.of(begun)
-    search = Stepwise(none, extended.first, np.random.default_rng(1), nobody, nobody)
-    ended = weighed(begun, extended.fitted, basis, tested, search)
+    ended = weighed(begun, extended, basis, tested, Stepwise(none, np.random.default_rng(1), nobody, nobody))
     assert ended.fitted.causes == ended.findings == ()
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calflow.diagnosis.screening import Family
-from calflow.diagnosis.stepwise import CauseAcceptance, Stepwise, kindred, merged
+from calflow.diagnosis.stepwise import CauseAcceptance, Screened, Stepwise, kindred, merged
 from calflow.linear import Block, LinearProblem, LinearTrial
 
 N = 150
@@ -39,7 +39,7 @@ def trial(effect, blocks):
     noise = 0.1 * np.random.default_rng(3).standard_normal(N)
     matrix = np.hstack([block.matrix for block in EVERY]) / 0.1
     problem = LinearProblem((effect + noise) / 0.1, np.ones((N, 1)) / 0.1, np.array([10.0]), EVERY, matrix, True, None)
-    return LinearTrial(Family({}, len(EVERY)), N - 1, problem, tuple(blocks))
+    return LinearTrial(Screened((), Family({}, len(EVERY)), N - 1), problem, tuple(blocks))
 
 
 def smooth():
@@ -60,7 +60,7 @@ def test_waves_give_way_to_the_curve_that_they_imitate():
     first = next(merged(several))
     assert first == [OTHER, CURVE]
     assert several.with_causes(first).cost < several.cost
-    better = search_of(several).improved(several, [several])
+    better = search().improved(several, [several])
     assert better is not None
     assert CURVE in better.causes
     assert not set(better.causes) & set(WAVES)
@@ -72,11 +72,9 @@ def test_true_waves_stay():
     assert all(two.with_causes(causes).cost > two.cost for causes in merged(two))
 
 
-def search_of(several):
-    """A search from a trial."""
-    rng = np.random.default_rng(1)
-    first = several.linearisation.screened(rng)
-    return Stepwise(CauseAcceptance(0.01, 10), first, rng, lambda _: None, lambda _: None)
+def search():
+    """A search for causes."""
+    return Stepwise(CauseAcceptance(0.01, 10), np.random.default_rng(1), lambda _: None, lambda _: None)
 
 
 def test_what_the_linearised_model_excludes_is_not_fitted():
@@ -84,7 +82,7 @@ def test_what_the_linearised_model_excludes_is_not_fitted():
     two = trial(WAVES[1].matrix @ [1.0, 0.5] + WAVES[3].matrix @ [0.3, -0.6], [WAVES[1], WAVES[3]])
     tried = [two]
     assert list(merged(two))
-    assert search_of(two).improved(two, tried) is None
+    assert search().improved(two, tried) is None
     assert tried == [two]
 
 
@@ -92,7 +90,7 @@ def test_a_step_that_missed_what_was_expected_opens_the_gate():
     """Fails if a linearised model that has erred by more than a merger loses is trusted."""
     two = trial(WAVES[1].matrix @ [1.0, 0.5] + WAVES[3].matrix @ [0.3, -0.6], [WAVES[1], WAVES[3]])
     tried = [replace(two, missed=1e4)]
-    search_of(two).improved(tried[0], tried)
+    search().improved(tried[0], tried)
     assert {frozenset(other.causes) for other in tried[1:]} >= {frozenset(causes) for causes in merged(two)}
 
 

@@ -62,8 +62,8 @@ def search(path: Path) -> tuple[Wandering, int, list[str]]:
     """Return the best model of a search along a path, how many were tried, and what was said."""
     said: list[str] = []
     nothing = Screened((), FAMILY, LEFT)
-    stepwise = Stepwise(CauseAcceptance(0.01, 0), nothing, np.random.default_rng(1), said.append, lambda _: None)
-    best, tried = stepwise.best(Wandering(FAMILY, LEFT, path))
+    stepwise = Stepwise(CauseAcceptance(0.01, 0), np.random.default_rng(1), said.append, lambda _: None)
+    best, tried = stepwise.best(Wandering(nothing, path))
     return best, len(tried), said
 
 

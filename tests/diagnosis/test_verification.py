@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from calflow.diagnosis.screening import Family, by_place
-from calflow.diagnosis.stepwise import Detection, corrected_rivals, doubted, doubtful, verified
+from calflow.diagnosis.stepwise import Detection, Screened, corrected_rivals, doubted, doubtful, verified
 from calflow.diagnosis.verdict import verdict
 from diagnosis.test_verdict import score
 
 N = 300
+BEGUN = Screened((), Family({}, 1.0), N)
 
 
 @dataclass(frozen=True)
@@ -22,7 +23,7 @@ class Seen:
     findings: tuple
     cost: float = 0.0
     forms: dict = field(default_factory=dict)
-    degrees_of_freedom: float = N
+    first: Screened = BEGUN
 
     @property
     def causes(self):

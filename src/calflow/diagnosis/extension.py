@@ -25,7 +25,7 @@ import scipy
 
 from calflow.diagnosis.background import JOINTS, BackgroundBasis, Sizes, background, beside_background, uneven_causes
 from calflow.diagnosis.fitted import Fitted
-from calflow.diagnosis.regressors import Background, Place, Regressors
+from calflow.diagnosis.regressors import Place, Regressors
 from calflow.diagnosis.screening import Catalogue, Score, Screening
 from calflow.diagnosis.stepwise import (
     FINER_STEPS,
@@ -84,7 +84,7 @@ class FittedTrial(Trial[Cause]):
         shown = np.flatnonzero(np.isin(free, columns))
         root = settled.root_covariance(shown) / model.prior_sd[free[shown]]
         chi2, narrowed = settled.chi2 + fitted.outlier_loss, float(np.linalg.slogdet(root.T @ root)[1])
-        return refitted_cost(chi2, fitted.scale, self.degrees_of_freedom, every, narrowed)
+        return refitted_cost(chi2, fitted.scale, self.first.degrees_of_freedom, every, narrowed)
 
     def with_causes(self, causes: Sequence[Cause], added: Score[Cause] | None = None) -> FittedTrial:
         """Return the study's effects fitted with these causes, a new one started from its linear estimate."""
@@ -202,24 +202,21 @@ def extend(
     say receives each step in words, advance the share of the search that is done, which never falls.
     """
     first = Linearisation.at(start, catalogue).screened(rng)
-    begin = FittedTrial(first.family, first.degrees_of_freedom, start, catalogue)
-    ended = Stepwise(acceptance, first, rng, say, advance).best(begin)
-    return extended(*ended, first)
+    return extended(*Stepwise(acceptance, rng, say, advance).best(FittedTrial(first, start, catalogue)))
 
 
-def extended(trial: Trial[Cause], every: list[Trial[Cause]], first: Screened[Cause]) -> Extended:
+def extended(trial: Trial[Cause], tried: Sequence[Trial[Cause]]) -> Extended:
     """Return the result of a search, given its best trial and all trials."""
-    best, tried = cast(tuple[FittedTrial, list[FittedTrial]], (trial, every))  # trials lead to trials of their own kind
-    return Extended(best.fitted, verified(best, tried), first)
+    best = cast(FittedTrial, trial)  # trials lead to trials of their own kind
+    return Extended(best.fitted, verified(best, tried), best.first)
 
 
 def weighed_against(extension: Extended, catalogue: Catalogue) -> Extended:
     """Return the findings with a wider catalogue's candidates as rivals: a cause excluded from the search may be the true one."""
     if not extension.findings:
         return extension
-    first = extension.first
-    wider = FittedTrial(first.family, first.degrees_of_freedom, extension.fitted, catalogue)
-    scores = {finding.cause: finding.scores for finding in verified(wider, ())}
+    wider = verified(FittedTrial(extension.first, extension.fitted, catalogue), ())
+    scores = {finding.cause: finding.scores for finding in wider}
     return replace(extension, findings=tuple(replace(f, scores=scores[f.cause]) for f in extension.findings))
 
 
@@ -325,13 +322,14 @@ def _spent(fitted: Fitted, cause: Cause, variants: Mapping[Place, int]) -> float
 
 
 def weighed(
-    start: Fitted, found: Fitted, basis: BackgroundBasis, catalogue: Catalogue, search: Stepwise[Cause]
+    start: Fitted, extension: Extended, basis: BackgroundBasis, catalogue: Catalogue, search: Stepwise
 ) -> Extended:
     """Return the extension of start after alternating between the causes found and background until both agree.
 
     Causes that the background explains better, or that do not carry over, are dropped, and the search continues from the others; it
     ends where it would start from the same causes again.
     """
+    begin, found = FittedTrial(extension.first, start, catalogue), extension.fitted
     searched, offered = set[frozenset[Cause]](), set[frozenset[Cause]]()
     while True:
         now = beside_background(found, basis)
@@ -342,13 +340,12 @@ def weighed(
         if len(held) < len(found.causes):
             now = beside_background(now, basis)
         left = background(now, basis)
-        beside = replace(now, background=left)
+        beside = replace(begin, fitted=replace(now, background=left))
         if held in searched:
-            trial = FittedTrial(search.first.family, search.first.degrees_of_freedom, beside, catalogue)
-            ended = extended(trial, [trial], search.first)
+            ended = extended(beside, [beside])
             break
         # Once: where that gives way again, the search goes on beside the background.
-        if held not in offered and (instead := _named_instead(now, left, basis, catalogue, search)):
+        if held not in offered and (instead := _named_instead(beside, basis, search)):
             offered.add(held)
             search.say(f"{words(instead)} in the place of an unexplained error")
             found = now.with_causes([*now.causes, instead])
@@ -357,28 +354,32 @@ def weighed(
         if left is not None and left.inputs:
             inputs = ", ".join(dict.fromkeys(map(" and ".join, left.inputs)))
             search.say(f"left over, smooth in {inputs}: causes are tested beside it")
-        ended = _searched(replace(start, background=left, shared=beside.shared), beside, catalogue, search)
+        ended = _searched(replace(begin, fitted=replace(start, background=left, shared=now.shared)), beside, search)
         found = ended.fitted
         if frozenset(found.causes) == held:
             break
-    return replace(ended, findings=_judged(ended, basis, catalogue.variants))
+    against, kinds = unnamed(ended.fitted, basis, catalogue.variants), blocks_beside_background(ended.fitted, basis)
+    judged = tuple(
+        replace(
+            finding, unnamed=against[finding.cause], carries_over=carried_over(ended.fitted, finding.cause, kinds).holds
+        )
+        for finding in ended.findings
+    )
+    return Extended(ended.fitted, judged, extension.first)
 
 
-def _named_instead(
-    fitted: Fitted, left: Background | None, basis: BackgroundBasis, catalogue: Catalogue, search: Stepwise[Cause]
-) -> Cause | None:
-    """Return the best candidate beside the field of the joints alone, where the background has other parts.
+def _named_instead(trial: FittedTrial, basis: BackgroundBasis, search: Stepwise) -> Cause | None:
+    """Return the best candidate beside the field of the joints alone, where a trial's background has other parts.
 
     None where no candidate is significant, or there are as many causes as may be. Beside a background in time no step or drift of
     the device could be significant, nor what the payload does beside one by payload; the cause is then weighed against all parts.
     """
+    left, fitted = trial.fitted.background, trial.fitted
     others = {name for part in left.inputs if part != JOINTS for name in part} if left else set[str]()
-    if not others or len(fitted.causes) >= search.acceptance.most:
+    if not others or len(trial.causes) >= search.acceptance.most:
         return None
-    beside = replace(fitted, background=background(fitted, basis, others))
-    trial = FittedTrial(search.first.family, search.first.degrees_of_freedom, beside, catalogue)
-    scores = trial.linearisation.beside.scores
-    passed = search.acceptance.passing(scores, search.first.family)
+    trial = replace(trial, fitted=replace(fitted, background=background(fitted, basis, others)))
+    passed = search.acceptance.passing(trial.linearisation.beside.scores, trial.first.family)
     return (trial.finest(passed[0].cause, trial.causes) or passed[0]).cause if passed else None
 
 
@@ -396,24 +397,20 @@ def _weakest(fitted: Fitted, basis: BackgroundBasis, variants: Mapping[Place, in
     return min(failing, key=lambda cause: against[cause], default=None)
 
 
-def _searched(start: Fitted, beside: Fitted, catalogue: Catalogue, search: Stepwise[Cause]) -> Extended:
-    """Return the result of a search continued from a model with its background."""
-    first = search.first
-    begin = FittedTrial(first.family, first.degrees_of_freedom, start, catalogue)
-    if not beside.causes and start.background is not None:
-        screened = Linearisation.at(start, catalogue).screened(search.rng, first.family)
-        search = replace(search, first=screened)
-    fitted_trials = [replace(begin, fitted=beside)] if beside.causes else []
-    tried: list[Trial[Cause]] = [begin, *fitted_trials]
+def _searched(begin: FittedTrial, beside: FittedTrial, search: Stepwise) -> Extended:
+    """Return the result of a search continued from a model with its background; begin has no causes."""
+    if not beside.causes and begin.fitted.background is not None:
+        now = begin.linearisation.screened(search.rng, begin.first.family)
+        begin = replace(begin, first=replace(begin.first, scores=now.scores))
+    tried: list[Trial[Cause]] = [begin, beside] if beside.causes else [begin]
     best = _second_thought(search.settled(tried), tried, search)
-    for trial in fitted_trials:
-        more = len(best.causes) - len(trial.causes)
-        if more > 0 and search.stands(trial) and best.cost > trial.cost - SPLIT * more:
-            best = trial  # as in an exchange, more causes must be clearly better
-    return extended(best, tried, first)
+    more = len(best.causes) - len(beside.causes)
+    if beside.causes and more > 0 and search.stands(beside) and best.cost > beside.cost - SPLIT * more:
+        best = beside  # as in an exchange, more causes must be clearly better
+    return extended(best, tried)
 
 
-def _second_thought(best: Trial[Cause], tried: list[Trial[Cause]], search: Stepwise[Cause]) -> Trial[Cause]:
+def _second_thought(best: Trial[Cause], tried: list[Trial[Cause]], search: Stepwise) -> Trial[Cause]:
     """Return the best model, or one with a rival in the place of a cause that the background explains nearly as well.
 
     The evidence of fits takes the background's variances as known; the comparison of rivals in a cause's place does not.
@@ -429,15 +426,3 @@ def _second_thought(best: Trial[Cause], tried: list[Trial[Cause]], search: Stepw
             break
         best = trial
     return best
-
-
-def _judged(extension: Extended, basis: BackgroundBasis, variants: Mapping[Place, int]) -> tuple[Detection[Cause], ...]:
-    against, kinds = unnamed(extension.fitted, basis, variants), blocks_beside_background(extension.fitted, basis)
-    return tuple(
-        replace(
-            finding,
-            unnamed=against[finding.cause],
-            carries_over=carried_over(extension.fitted, finding.cause, kinds).holds,
-        )
-        for finding in extension.findings
-    )

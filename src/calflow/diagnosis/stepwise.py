@@ -181,12 +181,10 @@ class Linearisation(Generic[H]):
 class Trial(ABC, Generic[H]):
     """A fitted model of the search.
 
-    family: correction for the number of tests; degrees_of_freedom: residual ones of the model without causes, both by the first
-    screening; missed: difference of its cost from that predicted by the linearised model before it.
+    first: screening of the model without causes; missed: difference of its cost from that predicted by the linearised model before.
     """
 
-    family: Family
-    degrees_of_freedom: float
+    first: Screened[H]
     missed: float = field(default=0.0, kw_only=True)
 
     @property
@@ -228,7 +226,7 @@ class Trial(ABC, Generic[H]):
     @cached_property
     def findings(self) -> tuple[Detection[H], ...]:
         """Its causes, each with the scores of all candidates in its place."""
-        return tuple(self.linearisation.findings(self.family)) if self.causes else ()
+        return tuple(self.linearisation.findings(self.first.family)) if self.causes else ()
 
 
 def forget_all_but(best: Trial, tried: Sequence[Trial]) -> None:
@@ -468,7 +466,7 @@ def verified(best: Trial[H], tried: Sequence[Trial[H]]) -> tuple[Detection[H], .
             for score in doubtful(finding)
             if (fitted := [other.cost - best.cost for other in tried if _has(other, stay, score.cause)])
         }
-        detections.append(corrected_rivals(finding, above, best.degrees_of_freedom))
+        detections.append(corrected_rivals(finding, above, best.first.degrees_of_freedom))
     return tuple(detections)
 
 
@@ -507,14 +505,13 @@ class Proposal(Generic[H]):
 
 
 @dataclass(frozen=True)
-class Stepwise(Generic[H]):
-    """The stepwise search; first is the screening of the initial model.
+class Stepwise:
+    """The stepwise search.
 
     say receives each step in words, advance the share of the search that is done, which never falls.
     """
 
     acceptance: CauseAcceptance
-    first: Screened[H]
     rng: np.random.Generator
     say: Callable[[str], None]
     advance: Callable[[float], None]
@@ -580,9 +577,9 @@ class Stepwise(Generic[H]):
         """Yield the causes with two replaced by one or two, or one by two, where that explains the data better."""
         small = [cause for cause in trial.causes if cause.n_parameters <= FEW_COLUMNS][-ENTANGLED:]
         for gone in (*combinations(small, 2), *combinations(small, 1)):
-            exchange = Exchange.of(trial.linearisation.apart(gone), trial.family, gone)
+            exchange = Exchange.of(trial.linearisation.apart(gone), trial.first.family, gone)
             stay = [cause for cause in trial.causes if cause not in gone]
-            if (single := exchange.alone()) and self.acceptance.accepts(single, trial.family):
+            if (single := exchange.alone()) and self.acceptance.accepts(single, trial.first.family):
                 yield _replaced(trial, [*stay, single.cause])
             pairs = exchange.better() if len(stay) + 2 <= self.acceptance.most else ()
             if pair := next((pair for pair in pairs if pair.p < self.acceptance.false_alarm), None):
@@ -596,7 +593,7 @@ class Stepwise(Generic[H]):
 
     def _added(self, trial: Trial[H]) -> Iterator[Proposal[H]]:
         """Yield the causes with the best accepted candidate added, if there is one."""
-        now = trial.linearisation.screened(self.rng, self.first.family) if trial.causes else self.first
+        now = trial.linearisation.screened(self.rng, trial.first.family) if trial.causes else trial.first
         passed = self.acceptance.passing(now.scores, now.family)
         doubtful = not (passed and now.family.p(passed[0]) < CLEAR * self.acceptance.false_alarm)
         # Without correction for the number of tests: a candidate that fails here fails with it, too.
