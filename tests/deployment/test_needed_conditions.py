@@ -12,8 +12,8 @@ from applied import predict
 from calflow.deployment.prediction import predict_rows
 from calflow.deployment.validation import validate
 from calflow.estimation.certainty import then_and_later
+from calflow.estimation.extrapolation import Later
 from calflow.estimation.needed_conditions import needed_conditions
-from calflow.estimation.smooth_functions import Later
 from calflow.files.problems import InputError
 from calflow.measurements.measurements import Measurements
 from calflow.model import build

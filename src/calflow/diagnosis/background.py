@@ -28,7 +28,6 @@ from calflow.estimation.residual_field import learnt
 from calflow.estimation.smooth_functions import JointField, SmoothFunction, beside_joints, moved_together
 from calflow.estimation.variance_components import USUAL, VarianceComponents
 from calflow.robot.mechanism import Deflection, Row, State
-from calflow.robot.parts import Parameter
 
 JOINTS = ("joints",)  # inputs of the field
 MODES = 400  # principal modes of all functions together: the others are lost in the noise
@@ -60,10 +59,10 @@ class Field(SmoothFunction):
         """Equal standard deviations, which make the whole as large as one function at a part's usual variance."""
         return np.full(len(self.declared), (USUAL * self.n_waves) ** -0.5)
 
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Return the amplitudes of cosines, then sines, along each axis."""
-        n = 2 * self.n_waves
-        return self.amplitudes("arm", (f"wave{k + 1}{axis}" for axis in "xyz" for k in range(n)))
+    @property
+    def n_amplitudes(self) -> int:
+        """Number of amplitudes: of cosines, then sines, along each axis."""
+        return 6 * self.n_waves
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
         """Return the deflection with the arm shifted, if there is only one."""

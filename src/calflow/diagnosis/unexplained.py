@@ -240,20 +240,17 @@ class Since(SmoothFunction):
 
 @dataclass(frozen=True)
 class Oscillation(SmoothFunction):
-    """A shift of the reported point that is periodic in time."""
+    """A shift of the reported point that is periodic in time, with a cosine and a sine along each axis."""
 
     rate: float = 1.0  # rad/s
 
     inputs = ("time",)
+    n_amplitudes = 6
 
     @property
     def detail(self) -> str:
         """The period in words."""
         return f"period {2 * np.pi / self.rate:.3g} s"
-
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Return the amplitudes of both phases along each axis."""
-        return self.amplitudes("device", (f"{phase}{axis}" for phase in ("cos", "sin") for axis in "xyz"))
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
         """Return the shifted point."""

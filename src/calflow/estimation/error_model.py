@@ -33,8 +33,6 @@ from calflow.model import Model
 
 MIN_REDUCTION = 1e-2  # least relative reduction of a direction's variance by the data for it to be kept
 ROWS = 1000  # rows at which the functions are evaluated at once
-# The kinds of functions by name, by which tables refer to them.
-FUNCTIONS = {kind.__name__: kind for kind in subclasses(SmoothFunction)}  # type: ignore[type-abstract]
 VISIBLE = 0.05  # least variance of a part over the white noise's: no noise is stated more accurately
 INSIDE = 1e-9  # share of the distance to a bound that a step leaves
 
@@ -221,8 +219,9 @@ def error_table(errors: ErrorModel, model: Model) -> pd.DataFrame:
 def read_errors(table: pd.DataFrame, model: Model) -> ErrorModel:
     """Return the error model of an `error_table`."""
     offset, table = table.iloc[0], table.iloc[1:]
+    kinds = {kind.__name__: kind for kind in subclasses(SmoothFunction)}
     functions = [
-        FUNCTIONS[kind].of_figures(model.robot, figures)
+        kinds[kind].of_figures(model.robot, figures)
         for kind, figures in table.drop_duplicates("function")[["kind", "figures"]].to_numpy(dtype=str)
     ]
     columns = [[name for name in map(str, table) if name.startswith(word)] for word in ("slope ", "told ")]

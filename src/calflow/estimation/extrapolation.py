@@ -16,19 +16,106 @@ import casadi as ca
 import numpy as np
 import scipy
 
-from calflow.effects.base import OF_THE_FRAME, Cause, Effect, Travel
+from calflow.effects.base import OF_THE_FRAME, Cause, Effect, JointError, Term, Travel, effect_class
 from calflow.effects.warming import Warming
 from calflow.estimation.error_model import ErrorModel, SmoothVariances, usual_sizes
 from calflow.estimation.fit import Fit
-from calflow.estimation.model_tables import Extrapolation
-from calflow.estimation.smooth_functions import AtAnyTime, BeyondTravel, Cooling, InTime, Later, SmoothFunction, in_time
+from calflow.estimation.smooth_functions import SIZE, InTime, SmoothFunction, Wandering, in_time
 from calflow.estimation.variance_components import SIZES
+from calflow.files.tables import column
 from calflow.measurements.measurements import Measurements
+from calflow.robot.mechanism import Dimensions, Row, State
 
 CANDIDATE_SIZES = np.geomspace(SIZES.min(), SIZES.max(), 65)  # over the usual one
 MIN_REDUCTION = 1e-12  # least relative reduction of a variance by the data
 MOMENT = 1.0  # s after the measurement, within which the shift by a cause grows to its full value
+FADE = 0.05  # share of a measured travel beyond its ends within which its curve fades
+BEYOND_WAVES = 8  # frequencies of a curve beyond its travel, each with cosine and sine
+SHIFT = 8 * 3600.0  # s: how long a robot works on, on average
 BEYOND = 0.1  # share of a joint's travel by which a held-out reading may lie outside the fitted range
+
+
+@dataclass(frozen=True)
+class Later(Wandering):
+    """The continuation of a walk after its end, and before its begin, with the same variance per time.
+
+    change: standard deviation of its change in the duration of the measurement; any_time: that of its value at a row without time;
+    both over the usual one.
+    """
+
+    change: float = 1.0
+    any_time: float = 0.0
+
+    def gone(self, row: Row) -> ca.SX:
+        """Return the standard deviation at a row: after a time it grows with the root of that time over the measurement's."""
+        if not row.time.nnz():
+            return ca.SX(self.any_time) if self.any_time else ca.SX(1, 1)
+        beyond = ca.fmax(0, ca.fmax(self.begin - row.time, row.time - self.end))
+        return self.change * ca.sqrt(self.diffusion(beyond) / ((self.end - self.begin) or 1.0))
+
+
+@dataclass(frozen=True)
+class Cooling(SmoothFunction):
+    """What a warm-up loses after the measurement's end [s] if the robot stands from some moment on, which nobody knows.
+
+    The warm-up is given by its effect's id, its figures without pauses (see `Effect.figures_text`), part and fitted growth.
+    """
+
+    effect: str = ""
+    once: str = "{}"
+    part: str = ""
+    growth: float = 0.0
+    end: float = 0.0
+
+    inputs = ("time",)
+    n_amplitudes, amplitude = 1, ("1", 1.0)
+
+    @cached_property
+    def cause(self) -> Cause:
+        """The warm-up, from the end on."""
+        kind = effect_class(self.effect)
+        assert kind
+        return Cause(self.robot, kind.of_figures(self.robot, self.once), self.part)
+
+    def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
+        """Return the dimensions with the loss at the root of the probability that the robot stands by then."""
+        if not row.time.nnz():
+            return dims
+        since = ca.fmax(0, row.time - self.end)
+        stands = ca.sqrt(1 - ca.exp(-since / SHIFT))
+        effect, values = self.cause.acting(self.growth * p * stands)
+        return effect.dimensions(values, dims, replace(row, time=since))
+
+
+@dataclass(frozen=True)
+class BeyondTravel(JointError, SmoothFunction):
+    """A joint's error beyond the measured travel, low to high, as an independent curve with a standard deviation [rad].
+
+    Its waves have the frequencies of a Matern 5/2 process of a correlation length [rad], which follow a Student t distribution.
+    """
+
+    joint: int = 0
+    low: float = 0.0
+    high: float = 0.0
+    length: float = 1.0
+    size_beyond: float = SIZE
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """The joint."""
+        return (f"q{self.joint + 1}",)
+
+    def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
+        """Return waves that reach full size a twentieth of the travel beyond its ends, where a measured curve fades."""
+        if joint != self.joint:
+            return []
+        q, size = state.q[joint], self.size_beyond / BEYOND_WAVES**0.5
+        beyond = ca.fmax(self.low - q, 0) + ca.fmax(q - self.high, 0)
+        value = ca.fmin(beyond / (FADE * (self.high - self.low)), 1)
+        rates = scipy.stats.t(5).ppf((1 + np.arange(0.5, BEYOND_WAVES) / BEYOND_WAVES) / 2) / self.length
+        angle = ca.DM(rates) * q
+        waves = ca.vertsplit(value * ca.vertcat(ca.cos(angle), ca.sin(angle)))
+        return [Term(f"wave{k + 1}", self.unit(joint), size, 1.0, wave) for k, wave in enumerate(waves)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,25 +222,21 @@ def _beyond_time(errors: ErrorModel, sizes: SmoothVariances, left: dict[str, flo
     if by_order:
         # The order starts anew in each measurement.
         errors = errors.only(lambda function: not isinstance(function, InTime))
+    begin, end = steps[0].begin, steps[-1].end
     walks = _walks(apart := sizes.without(causes), apart.variance) if causes else left
     for of, walk in walks.items():
         functions: list[SmoothFunction]
         if by_order:
             # With causes twice the variance: their drift, extrapolated to other rows, and the drift there are independent.
-            functions = [*in_time(data, of)]
-            share = np.full(len(functions), walk * (np.sqrt(2) if causes else 1.0))
+            functions, share = [*in_time(data, of)], walk * (np.sqrt(2) if causes else 1.0)
         else:
-            begin, end = steps[0].begin, steps[-1].end
-            later = Later(data.robot, of, begin=begin, end=end)
-            functions = [later, AtAnyTime(data.robot, of, begin=begin, end=end)]
-            share = np.array([later.change(end - begin) * walk, left[of]])
-        sd = usual_sizes(result.model, functions)
-        sd = sd * np.repeat(share, len(sd) // len(share))
+            later = Later(data.robot, of, begin=begin, end=end, any_time=left[of])
+            functions, share = [replace(later, change=float(later.change_in(end - begin) * walk))], 1.0
         # Functions of zero variance would only cost time at every predicted row.
-        if sd.any():
-            errors = errors.with_functions(functions, sd)
+        if walk or left[of]:
+            errors = errors.with_functions(functions, share * usual_sizes(result.model, functions))
     if causes and not by_order:
-        end, slope = steps[-1].end, _moved(causes, result, data)
+        slope = _moved(causes, result, data)
         come = [InTime(data.robot, begin=end, end=end + MOMENT)]
         sd = usual_sizes(result.model, come)
         slope /= sd[:, None]
@@ -178,6 +261,14 @@ def _moved(causes: Sequence[Effect], result: Fit, data: Measurements) -> np.ndar
     rows = replace(data, table=data.table.assign(**last)).conditions
     of_causes = np.isin(np.arange(len(result.estimate)), np.concatenate([model.columns(cause) for cause in causes]))
     return np.asarray(model.position_jacobian(result.estimate, rows).mean(axis=0) * of_causes)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Extrapolation:
+    """A joint whose held-out readings lie beyond the fitted range, where held-out accuracy is extrapolation."""
+
+    joint: int = column("its number")
+    rows: int = column("number of held-out rows beyond the fitted range")
 
 
 def extrapolation(data: Measurements) -> tuple[Extrapolation, ...]:

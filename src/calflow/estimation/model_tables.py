@@ -14,6 +14,7 @@ from calflow.effects import Effect, effect_class
 from calflow.effects.base import Cause
 from calflow.estimation.calibrated_model import Alternative, CalibratedModel, SeriesNoise
 from calflow.estimation.error_model import ErrorModel, error_table, read_errors
+from calflow.estimation.extrapolation import Extrapolation
 from calflow.estimation.fit import Fit
 from calflow.estimation.lack_of_fit import SIGNIFICANT, LackOfFit, NoiseDoubt
 from calflow.estimation.least_squares import Loss
@@ -221,14 +222,6 @@ def fit_figures(
         "solver": Solver(status=fit.status, iterations=fit.iterations),
         "converged": fit.converged,
     }
-
-
-@dataclass(frozen=True, kw_only=True)
-class Extrapolation:
-    """A joint whose held-out readings lie beyond the fitted range, where held-out accuracy is extrapolation."""
-
-    joint: int = column("its number")
-    rows: int = column("number of held-out rows beyond the fitted range")
 
 
 @dataclass(frozen=True, kw_only=True)

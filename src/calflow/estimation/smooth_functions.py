@@ -6,7 +6,7 @@ Singly they are decoys, which are tested as causes are. Together, with normal am
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import combinations, pairwise
@@ -14,10 +14,9 @@ from typing import ClassVar, Literal, TypeVar
 
 import casadi as ca
 import numpy as np
-import scipy
 
 from calflow.effects import Effect
-from calflow.effects.base import Cause, JointError, Term, effect_class
+from calflow.effects.base import JointError, Term
 from calflow.effects.board_bent import REACH, bow
 from calflow.effects.thermal_growth import GROWTH_SD, grown
 from calflow.effects.tracker_scale import TrackerScale
@@ -41,22 +40,18 @@ _IN_PLACE = [(i, j, k) for i in range(4) for j in range(4) for k in range(4) if 
 SMOOTH_ORDERS = 4  # harmonics of a joint's angle
 TINY = 1e-6  # m, of a travel
 STILL = 1e-9  # derivative by a joint over the largest, below which it is rounding
-FADE = 0.05  # share of a measured travel beyond its ends within which its curve fades
-BEYOND_WAVES = 8  # frequencies of a curve beyond its travel, each with cosine and sine
 # Steps of a random walk during the measurement, of equal numbers of rows, besides pauses; a robot warms up steadily.
 STEPS, STEPS_OF_ROBOT = 16, 4
-SHIFT = 8 * 3600.0  # s: how long a robot works on, on average
 STATIONARY = 10  # time constants before the measurement, at which a stationary walk begins
 
 
 class SmoothFunction(Effect):
-    """A smooth function of some inputs."""
+    """A smooth function of some inputs, linear in amplitudes with zero prior mean."""
 
     id: ClassVar[str] = "unexplained"
     title: ClassVar[str] = "unexplained"
-    of_images: ClassVar[bool] = (
-        False  # whether it is an error of a camera or its target, and not of the robot's position
-    )
+    amplitude: ClassVar[tuple[str, float]] = ("m", SIZE)  # unit and usual standard deviation of an amplitude
+    of_images: ClassVar[bool] = False  # whether it is an error of a camera or its target, not of the robot's position
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -68,11 +63,15 @@ class SmoothFunction(Effect):
         """Relative standard deviations of its amplitudes as a random function, shape (n_parameters,)."""
         return np.ones(len(self.declared))
 
-    def amplitudes(
-        self, part: str, symbols: Iterable[str], unit: str = "m", usual: float = SIZE
-    ) -> tuple[Parameter, ...]:
-        """Return a part's amplitudes, with zero prior mean and the usual standard deviation."""
-        return tuple(Parameter(self.id, part, symbol, unit, usual, -1.0, 1.0) for symbol in symbols)
+    @property
+    def n_amplitudes(self) -> int:
+        """Number of its amplitudes."""
+        raise NotImplementedError
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return the amplitudes, numbered."""
+        kind, (unit, sd) = type(self).__name__, self.amplitude
+        return tuple(Parameter(self.id, kind, str(k + 1), unit, sd, -1.0, 1.0) for k in range(self.n_amplitudes))
 
 
 @dataclass(frozen=True)
@@ -111,7 +110,7 @@ class OfJoints(SmoothFunction):
 
 
 @dataclass(frozen=True)
-class JointField(OfJoints, JointError):
+class JointField(JointError, OfJoints):
     """Errors of some joints' angles (numbers from 0, in order; empty: all) as such functions."""
 
     erring: tuple[int, ...] = ()
@@ -136,10 +135,10 @@ class JointField(OfJoints, JointError):
 class Shift(OfJoints):
     """A shift of the reported point as such a function."""
 
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Return the waves' amplitudes along each axis."""
-        n = len(self._sizes)
-        return self.amplitudes("point", (f"wave{k + 1}{axis}" for axis in "xyz" for k in range(n)))
+    @property
+    def n_amplitudes(self) -> int:
+        """Number of waves along all three axes."""
+        return 3 * len(self._sizes)
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
         """Return the shifted point."""
@@ -149,9 +148,7 @@ class Shift(OfJoints):
 class LinkLengths(SmoothFunction):
     """A relative elongation of all links."""
 
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Return the elongation."""
-        return self.amplitudes("links", ("growth",), "1", GROWTH_SD)
+    n_amplitudes, amplitude = 1, ("1", GROWTH_SD)
 
     def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
         """Return the lengthened links."""
@@ -212,7 +209,7 @@ class Wandering(SmoothFunction):
         constant = self.time_constant
         return constant / 2 * (1 - ca.exp(-2 * passed / constant)) if np.isfinite(constant) else passed
 
-    def change(self, duration: float) -> float:
+    def change_in(self, duration: float) -> float:
         """Return the standard deviation of a random walk's change in a time [s], over the root mean square of this about its mean.
 
         For unit variance gained per second, its mean square is a sixth of the time, and half the time constant at most.
@@ -255,94 +252,6 @@ class InTime(Wandering):
 
 
 @dataclass(frozen=True)
-class Later(Wandering):
-    """The continuation of a walk after its end, and before its begin, with the same variance per time."""
-
-    def gone(self, row: Row) -> ca.SX:
-        """Return the root of the time beyond, over the duration of the measurement."""
-        if not row.time.nnz():
-            return ca.SX(1, 1)
-        beyond = ca.fmax(0, ca.fmax(self.begin - row.time, row.time - self.end))
-        return ca.sqrt(self.diffusion(beyond) / ((self.end - self.begin) or 1.0))
-
-
-@dataclass(frozen=True)
-class Cooling(SmoothFunction):
-    """What a warm-up loses after the measurement's end [s] if the robot stands from some moment on, which nobody knows.
-
-    The warm-up is given by its effect's id, its figures without pauses (see `Effect.figures_text`), part and fitted growth.
-    """
-
-    effect: str = ""
-    once: str = "{}"
-    part: str = ""
-    growth: float = 0.0
-    end: float = 0.0
-
-    inputs = ("time",)
-
-    @cached_property
-    def cause(self) -> Cause:
-        """The warm-up, from the end on."""
-        kind = effect_class(self.effect)
-        assert kind
-        return Cause(self.robot, kind.of_figures(self.robot, self.once), self.part)
-
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Return the amplitude."""
-        return self.amplitudes("links", ("cooling",), "1", 1.0)
-
-    def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
-        """Return the dimensions with the loss at the root of the probability that the robot stands by then."""
-        if not row.time.nnz():
-            return dims
-        since = ca.fmax(0, row.time - self.end)
-        stands = ca.sqrt(1 - ca.exp(-since / SHIFT))
-        effect, values = self.cause.acting(self.growth * p * stands)
-        return effect.dimensions(values, dims, replace(row, time=since))
-
-
-@dataclass(frozen=True)
-class AtAnyTime(Wandering):
-    """The value of a walk at a row without time."""
-
-    def gone(self, row: Row) -> ca.SX:
-        """Return 1 where a row has no time."""
-        return ca.SX(1, 1) if row.time.nnz() else ca.SX(1)
-
-
-@dataclass(frozen=True)
-class BeyondTravel(JointError, SmoothFunction):
-    """A joint's error beyond the measured travel, low to high, as an independent curve with a standard deviation [rad].
-
-    Its waves have the frequencies of a Matern 5/2 process of a correlation length [rad], which follow a Student t distribution.
-    """
-
-    joint: int = 0
-    low: float = 0.0
-    high: float = 0.0
-    length: float = 1.0
-    size_beyond: float = SIZE
-
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """The joint."""
-        return (f"q{self.joint + 1}",)
-
-    def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
-        """Return waves that reach full size a twentieth of the travel beyond its ends, where a measured curve fades."""
-        if joint != self.joint:
-            return []
-        q, size = state.q[joint], self.size_beyond / BEYOND_WAVES**0.5
-        beyond = ca.fmax(self.low - q, 0) + ca.fmax(q - self.high, 0)
-        value = ca.fmin(beyond / (FADE * (self.high - self.low)), 1)
-        rates = scipy.stats.t(5).ppf((1 + np.arange(0.5, BEYOND_WAVES) / BEYOND_WAVES) / 2) / self.length
-        angle = ca.DM(rates) * q
-        waves = ca.vertsplit(value * ca.vertcat(ca.cos(angle), ca.sin(angle)))
-        return [Term(f"wave{k + 1}", self.unit(joint), size, 1.0, wave) for k, wave in enumerate(waves)]
-
-
-@dataclass(frozen=True)
 class UnderPayload(SmoothFunction):
     """Changes under one payload: of all joints' zeros, first harmonics, the marker on the tool and the device's place."""
 
@@ -381,16 +290,13 @@ class UnderPayload(SmoothFunction):
 
 @dataclass(frozen=True)
 class InPlace(SmoothFunction):
-    """A shift of the reported point as a smooth function of its place."""
+    """A shift of the reported point by quadratic and cubic terms of its place along each axis; lower ones are geometry's."""
 
     centre: tuple[float, ...] = (0.0, 0.0, 0.0)
     reach: float = 1.0
 
     inputs = ("x", "y", "z")
-
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Return the quadratic and cubic terms along each axis; lower ones are geometry's."""
-        return self.amplitudes("place", (f"{axis}{k}" for axis in "xyz" for k in range(len(_IN_PLACE))))
+    n_amplitudes = 3 * len(_IN_PLACE)
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
         """Return the shifted point."""
@@ -401,16 +307,14 @@ class InPlace(SmoothFunction):
 
 @dataclass(frozen=True)
 class InImage(SmoothFunction):
-    """A shift of a seen point across its line of sight by its place in the image: distortion beyond the lens model."""
+    """A shift of a seen point across its line of sight by its place in the image: distortion beyond the lens model.
+
+    Its terms are those up to cubic ones along both axes.
+    """
 
     of_images = True
-
     inputs = ("image",)
-
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Return the terms up to cubic ones along both axes."""
-        terms = (f"{axis}{k}" for axis in "xy" for k in range(len(_IN_IMAGE)))
-        return self.amplitudes("lens", terms, "1", LENS_SIZE)
+    n_amplitudes, amplitude = 2 * len(_IN_IMAGE), ("1", LENS_SIZE)
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
         """Return the point on the deflected line of sight."""
@@ -421,15 +325,11 @@ class InImage(SmoothFunction):
 
 @dataclass(frozen=True)
 class OnTarget(SmoothFunction):
-    """A stretch, skew and bow of the target: errors of its points' stated places."""
+    """Errors of the stated places of a target's points: stretches along x and y, skew, and heights xx, xy and yy of a quadric."""
 
     of_images = True
-
     inputs = ("target",)
-
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Return stretches along x and y, skew, and heights of a quadric."""
-        return self.amplitudes("target", ("stretch x", "stretch y", "skew", "height xx", "height xy", "height yy"))
+    n_amplitudes = 6
 
     def target(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
         """Return the shifted point."""
@@ -489,8 +389,8 @@ def moved_together(problem: LeastSquares, estimate: np.ndarray) -> list[frozense
     if len(robot.tips) == 1:
         return [frozenset(range(robot.n_joints))]
     n = len(estimate)
-    slopes = probed(problem, estimate, [JointField(robot, (0,), 1)])[1][:, n:].reshape(-1, robot.n_joints, 2)
-    moved = np.unique(np.abs(slopes).max(axis=2) > STILL * np.abs(slopes).max(), axis=0)
+    slopes = np.abs(probed(problem, estimate, [JointField(robot, orders=0)])[1][:, n:])
+    moved = np.unique(slopes > STILL * slopes.max(), axis=0)
     chains = [frozenset(robot.chain(link)) for link in range(1, robot.n_joints + 1)]
     return [frozenset().union(*(chains[i] for i in np.flatnonzero(row))) for row in moved]
 
@@ -525,7 +425,7 @@ def in_time(data: Measurements, of: str = Wandering.of) -> list[InTime]:
         nodes = np.append(at.min() - STATIONARY * walk.time_constant, nodes)
     steps = [InTime(data.robot, of, clock, begin, end) for begin, end in pairwise(nodes.tolist())]
     return [
-        replace(step, share=step.change(np.ptp(at)) * (float(step.diffusion(ca.DM(step.end - step.begin))) / np.ptp(at)) ** 0.5,
+        replace(step, share=step.change_in(np.ptp(at)) * (float(step.diffusion(ca.DM(step.end - step.begin))) / np.ptp(at)) ** 0.5,
                 mean=float(np.mean(step.share_at(ca.DM(at)).full())))
         for step in steps
     ]  # fmt: skip
