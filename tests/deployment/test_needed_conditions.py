@@ -9,6 +9,9 @@ import pandas as pd
 import pytest
 
 from applied import predict
+from calflow.deployment.compensation import compensate
+from calflow.deployment.drift import drift
+from calflow.deployment.prediction import predict as predict_arrays
 from calflow.deployment.prediction import predict_rows
 from calflow.deployment.validation import validate
 from calflow.estimation.certainty import then_and_later
@@ -40,6 +43,26 @@ def calibrated(effects, values, **conditions):
 
 def sides(seed=1):
     return np.random.default_rng(seed).choice([-1, 1], (40, 6))
+
+
+def test_a_payload_is_asked_for_where_the_robot_gives_way_under_it():
+    """Fails if arrays that state no payload count as carrying nothing, or one is asked for that moves or was carried nowhere."""
+    soft, data = calibrated(("geometry", "joint-compliance"), {"joint2.s": 1e-5})
+    q, target = data.joints[:2], np.array([0.6, 0.2, 0.8])
+    bare = Measurements.from_arrays(ur10(), q, np.zeros((2, 3)))
+    for asked in (
+        lambda known: predict_arrays(known, q),
+        lambda known: compensate(known, target, start=q[0]),
+        lambda known: validate(known, bare),
+        lambda known: drift(known, bare),
+    ):
+        with pytest.raises(InputError, match=r'^payload: expected load or "" for nothing .* calibrated with load'):
+            asked(replace(soft, payloads=("load",)))
+    stated = [predict_arrays(replace(soft, payloads=("load",)), q, payload=name).position for name in ("", "load")]
+    assert np.abs(stated[1] - stated[0]).max() > 1e-6
+    np.testing.assert_array_equal(predict_arrays(soft, q).position, stated[0])  # calibrated with empty hands
+    stiff, _ = calibrated(("geometry",), {})
+    predict_arrays(replace(stiff, payloads=("load",)), q)
 
 
 def test_what_is_needed_is_read_off_the_graph():

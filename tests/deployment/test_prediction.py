@@ -161,7 +161,7 @@ def test_what_is_assumed_of_the_rows_is_said(finished):
     """Fails if rows that do not say what is carried are predicted for an empty hand, or a note spoils the table."""
     (finished / "few.csv").write_text("q1_deg,q2_deg,q3_deg\n10,-20,30\n", encoding="utf-8")
     (told,) = finished.refused("predict", finished / "runs", finished / "few.csv")
-    assert "expected payload" in told
+    assert told.startswith('payload: expected light, heavy or "" for nothing')
     (finished / "few.csv").write_text("q1_deg,q2_deg,q3_deg,payload\n10,-20,30,\n", encoding="utf-8")
     answer = finished.calflow("predict", finished / "runs", finished / "few.csv")
     assert "note: no column 'pose'" in answer.err

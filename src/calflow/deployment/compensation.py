@@ -212,7 +212,7 @@ def compensate(
             marker's position and the orientation of the last link's frame, with any tool_rotation of the robot.
         start: readings (n, n_joints), or (n_joints,) for all [rad, or m]; a robot with external axes needs theirs, and
             the arm's may be nan.
-        payload: name of the payload, for all targets or one per target.
+        payload: as in `predict`, for all targets or one per target.
         marker: name of the marker, likewise.
         in_order: the robot goes from target to target, so that approach directions follow from the commands.
         missing: as in `predict`.

@@ -33,7 +33,7 @@ from calflow.design.optimality import ParameterCriterion
 from calflow.design.search import greedy
 from calflow.design.t_optimality import Pair, TCriterion, propose
 from calflow.estimation.calibrated_model import CalibratedModel, shared_errors
-from calflow.estimation.needed_conditions import AT_REST
+from calflow.estimation.needed_conditions import AT_REST, check_payload_stated
 from calflow.files.problems import InputError, refuse
 from calflow.files.tables import StoredResults, column
 from calflow.files.toml import FalseAlarm, Seed, checked_arguments
@@ -315,7 +315,7 @@ def drift(
         seed: of the simulation of false alarms.
 
     Raises:
-        InputError: a frame cannot be fitted, or rows have no position.
+        InputError: a frame cannot be fitted, or rows lack a position or a payload on which the model depends.
     """
     if not len(data):
         raise refuse("expected rows, found none", key="data")
@@ -324,6 +324,7 @@ def drift(
             "expected a measured position in every row: what moved is told by positions alone; calflow validate takes other rows",
             key="data",
         )
+    check_payload_stated(calibrated.model, calibrated.payloads, data.payload_stated)
     given = data.stating([*AT_REST, *(need.condition for need in calibrated.needed)]).given
     calibrated = calibrated.later(given, data)
     attained = Attained.of(calibrated, data)

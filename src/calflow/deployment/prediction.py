@@ -16,7 +16,7 @@ from calflow.estimation.calibrated_model import (
     position_variance,
     readings,
 )
-from calflow.estimation.needed_conditions import HOW_TO_GO_ON, check_stated
+from calflow.estimation.needed_conditions import HOW_TO_GO_ON, check_payload_stated, check_stated
 from calflow.estimation.residual_field import NOT_PHYSICAL
 from calflow.files.deferred import pd
 from calflow.files.toml import checked_arguments
@@ -62,7 +62,7 @@ def predict(
     Args:
         calibrated: the calibrated model.
         q: joint readings, shape (n_rows, n_joints), or (n_joints,) of one row [rad, or m].
-            payload: name of the payload; None: no payload.
+            payload: name of the payload, "" for none; None only where the model depends on no payload.
             marker: name of the marker; None: the first.
             missing: "widen" to predict without needed conditions, with a larger standard deviation.
         conditions: approach, travel, wrench, torque, time, temperature, as in `Measurements.from_arrays`.
@@ -151,8 +151,9 @@ def as_stated(
     """Return the model for the conditions rows state (see `predict_rows`); instead: the advice in a refusal.
 
     Raises:
-        InputError: a needed condition is missing.
+        InputError: a needed condition is missing, or a payload on which the model depends.
     """
+    check_payload_stated(calibrated.model, calibrated.payloads, data.payload_stated)
     if missing == "refuse":
         check_stated(calibrated.needed, data.given, instead)
     lacking = [need for need in calibrated.needed if need.condition not in data.given]

@@ -25,7 +25,7 @@ from calflow.deployment.figures_alone import FiguresAlone
 from calflow.deployment.prediction import beyond_limits, of_field
 from calflow.deployment.tolerance import Errors
 from calflow.estimation.calibrated_model import CalibratedModel
-from calflow.estimation.needed_conditions import AT_REST, check_stated
+from calflow.estimation.needed_conditions import AT_REST, check_payload_stated, check_stated
 from calflow.files.problems import refuse
 from calflow.files.tables import StoredResults, column
 from calflow.files.toml import Confidence, Count, checked_arguments
@@ -220,9 +220,10 @@ def validate(
         figures: those of its controller, where they were sent (see `Levels.figures`).
 
     Raises:
-        InputError: a needed condition is missing, too few poses to fit a frame, or an invalid argument.
+        InputError: a needed condition or payload is missing, too few poses to fit a frame, or an invalid argument.
     """
     sent = _sent(data, sent, figures)
+    check_payload_stated(calibrated.model, calibrated.payloads, data.payload_stated)
     check_stated(calibrated.needed, data.given)
     # Wander and delay of the device are in its readings, not in the robot's pose: predicted where time and speeds are stated.
     given = data.stating([*calibrated.errors.inputs, *AT_REST, *(need.condition for need in calibrated.needed)]).given

@@ -90,7 +90,8 @@ class CalibratedModel:
 
     errors: error model of positions beyond the device's noise; alternatives: other models of similar probability; field: a
     non-physical correction of predictions; intraclass: correlation of the errors of markers at one standstill; needed: the
-    conditions of a row that predictions need; time_origin [s]: clock reading from which times count.
+    conditions of a row that predictions need; time_origin [s]: clock reading from which times count; payloads: those carried
+    in the measurements.
     """
 
     model: Model
@@ -106,6 +107,7 @@ class CalibratedModel:
     intraclass: float = 0.0
     needed: tuple[NeededCondition, ...] = ()
     time_origin: float | None = None
+    payloads: tuple[str, ...] = ()
 
     def later(self, given: tuple[str, ...], series: Measurements | None = None) -> Self:
         """Return the model for rows measured later that state these conditions, or those of a series (see `Effect.later`)."""

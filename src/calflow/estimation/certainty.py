@@ -110,10 +110,9 @@ class Certainty:
         # Rows of one pose share errors: the number beyond is counted in poses.
         beyond = float((~below).groupby(tested["pose"]).mean().sum())
         poses = tested["pose"].nunique()
-        named = ([str(name) for name in data.table[column].unique()] for column in ("marker", "payload"))
-        markers, payloads = (tuple(name for name in names if name) for names in named)
+        markers = tuple(str(name) for name in data.table["marker"].unique() if name)
         return Certainty(
-            points=len(data), markers=markers, payloads=payloads, split="holdout" if held else "train", unit=unit.label,
+            points=len(data), markers=markers, payloads=calibrated.payloads, split="holdout" if held else "train", unit=unit.label,
             left=float(distance[judged].mean()), noise=noise.words, noise_floor=floor if calibrated.noise_known else None,
             model_sd_mm=model_sd, prediction_sd_mm=prediction_sd, rivals=bool(calibrated.alternatives),
             reach_m=(float(reach.min()), float(reach.max())),

@@ -72,6 +72,7 @@ class FittedEffects:
             self.model, self.fit.estimate, self.fit.covariance, self.fit.at_bound, series_noise(self.noise),
             self.noise.discrepancy, self.fit.loss, self.errors, intraclass=self.noise.intraclass,
             needed=needed_conditions(self.model, self.fit.estimate, self.data), time_origin=self.data.time_origin,
+            payloads=self.data.only(self.data.train | self.data.held_out).payloads,
         )  # fmt: skip
 
     @cached_property

@@ -13,6 +13,7 @@ import numpy as np
 from calflow.effects import Effect, effect_class
 from calflow.effects.base import Cause
 from calflow.estimation.calibrated_model import Alternative, CalibratedModel, SeriesNoise
+from calflow.estimation.certainty import Certainty
 from calflow.estimation.error_model import ErrorModel, error_table, read_errors
 from calflow.estimation.extrapolation import Extrapolation
 from calflow.estimation.fit import Fit
@@ -371,6 +372,7 @@ def _read(stage: str, robot: Robot, results: Results, given: tuple[str, ...]) ->
             raise refuse(f"{stage}/{name}.csv does not fit the study's robot and effects; run {stage} again")
     needed = results.rows(f"{stage}/needed_conditions.csv", NeededCondition)
     time_origin = results.document("identify/summary.json", IdentifySummary).time_origin_s
+    payloads = results.document(f"{stage}/certainty.json", Certainty).payloads
     return CalibratedModel(
         model,
         np.array([parameter.estimate for parameter in parameters]),
@@ -380,6 +382,7 @@ def _read(stage: str, robot: Robot, results: Results, given: tuple[str, ...]) ->
         errors=read_errors(results.tables[f"{stage}/errors.csv"], model),
         needed=tuple(needed),
         time_origin=time_origin,
+        payloads=payloads,
     )
 
 

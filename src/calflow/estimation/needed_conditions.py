@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
-from calflow.files.problems import InputError, Problem
+from calflow.files.problems import InputError, Problem, refuse
 from calflow.files.tables import column
 from calflow.files.units import SUFFIXES
 from calflow.measurements.measurements import Measurements
@@ -67,6 +67,20 @@ def check_stated(needed: Iterable[NeededCondition], given: Sequence[str], instea
     ]  # fmt: skip
     if problems:
         raise InputError(problems)
+
+
+def check_payload_stated(model: Model, carried: Sequence[str], stated: bool) -> None:
+    """Check that a payload is stated if the model's positions depend on it and payloads were carried in the calibration.
+
+    Raises:
+        InputError: it is not stated.
+    """
+    if carried and not stated and "payload" in depended_on(model):
+        raise refuse(
+            f'expected {", ".join(model.robot.payloads)} or "" for nothing (in a table: a column payload, with an empty cell for '
+            f"nothing), since the robot was calibrated with {' and '.join(carried)} and gives way under what it carries",
+            key="payload",
+        )
 
 
 def _points(model: Model, estimate: np.ndarray, rows: Measurements) -> np.ndarray:

@@ -47,7 +47,8 @@ class Measurements:
     """Checked rows in SI units: pose, repeat, marker, payload, split, line, order, q1 …, x, y, z and optional columns.
 
     split is train, holdout, or "" for rows that belong to neither. The column time is relative to time_origin, a value
-    of the file's time_s [s]; None if there are no times. units are those stated in the file's column names.
+    of the file's time_s [s]; None if there are no times. units are those stated in the file's column names. payload_stated
+    is false of rows that do not say what is carried, and count as carrying nothing.
     """
 
     robot: Robot
@@ -56,6 +57,7 @@ class Measurements:
     series: tuple[Series, ...] = (Series(),)
     time_origin: float | None = None
     units: tuple[str, ...] = ()
+    payload_stated: bool = True
 
     @classmethod
     @checked_arguments
@@ -127,7 +129,7 @@ class Measurements:
 
     @classmethod
     def _of(cls, robot: Robot, rows: Rows) -> Measurements:
-        return cls(robot, rows.table, rows.notes, time_origin=rows.time_origin, units=rows.units)
+        return cls(robot, **vars(rows))
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Measurements):
@@ -161,6 +163,11 @@ class Measurements:
 
     def __len__(self) -> int:
         return len(self.table)
+
+    @property
+    def payloads(self) -> tuple[str, ...]:
+        """The payloads carried, in order of appearance."""
+        return tuple(str(name) for name in self.table["payload"].unique() if name)
 
     @property
     def joints(self) -> np.ndarray:
@@ -337,6 +344,7 @@ def combined(parts: Sequence[Measurements]) -> Measurements:
     return replace(
         first, table=whole, notes=tuple(dict.fromkeys(_notes(parts, shared, split))), time_origin=origin,
         series=tuple(part.series[0] for part in parts), units=tuple(sorted({unit for part in parts for unit in part.units})),
+        payload_stated=any(part.payload_stated for part in parts),
     )  # fmt: skip
 
 

@@ -137,7 +137,6 @@ class Layout(Dialect):
     approach directions follow from the pose before. tracker [m] is the device's position in the measuring frame, if not
     its origin. missing states which rows are left out and counted: "whole", rows without any measured value (rows that
     lack only some are errors); "skip", rows that lack any; "refuse", none. reports are the columns of measured values.
-    loads are the payloads of a calibration whose model depends on them: rows for it must then state theirs.
 
     Raises:
         ValueError: the dialect is invalid.
@@ -151,7 +150,6 @@ class Layout(Dialect):
     tracker: tuple[float, float, float] | None = None
     missing: Missing = "whole"
     reports: Reported = POSES
-    loads: tuple[str, ...] = ()
 
     @property
     def named(self) -> list[str]:
@@ -223,11 +221,6 @@ def check_header(columns: Sequence[ReadColumn], layout: Layout, robot: Robot, co
         "_deg), or sigma_rotation_mrad = … in the study's [measurements]": oriented and unsure,
         "has orientations twice, as rx, ry, rz and as a quaternion: expected one of them": {"rx", "qw"} <= names.keys(),
     }
-    if layout.loads and "payload" not in names:
-        missing.append(
-            f"missing column: expected payload, since the robot was calibrated with {' and '.join(layout.loads)} and gives way "
-            "under each; leave a cell empty where it carries nothing"
-        )
     return list(dict.fromkeys((*unknown, *missing, *twice, *(words for words, true in turns.items() if true))))
 
 
@@ -549,11 +542,15 @@ def _text(cells: pd.Series) -> pd.Series:
 
 @dataclass(frozen=True)
 class Rows:
-    """A table in SI units, notes on assumptions, the time_s [s] at which its time is zero, and the file's units."""
+    """A table in SI units, notes on assumptions, the time_s [s] at which its time is zero, and the file's units.
+
+    payload_stated: whether the rows say what is carried; where they do not, nothing counts as carried.
+    """
 
     table: pd.DataFrame
     notes: tuple[str, ...]
     time_origin: float | None
+    payload_stated: bool
     units: tuple[str, ...] = ()
 
 
@@ -604,6 +601,7 @@ def _completed(
     Raises:
         InputError: with the problems in wrong and all further ones.
     """
+    payload_stated = "payload" in table
     table, following = filled(table, robot, path)
     table, notes = labelled(table if layout.reports.measured else _as_targets(table, robot), robot, layout.reports)
     refuse_any([*wrong, *following, *check_values(table, robot, path, layout.reports)])
@@ -615,7 +613,7 @@ def _completed(
         table, in_order = ordered(ranged(table, robot, layout.tracker), robot, layout.in_order)
         notes += in_order
     table, left_out = kept(table, layout, path)
-    return Rows(table, (*notes, *left_out), origin, units)
+    return Rows(table, (*notes, *left_out), origin, payload_stated, units)
 
 
 def _without_measurement(read: dict[ReadColumn, Values], layout: Layout) -> dict[str, pd.Series]:

@@ -127,7 +127,7 @@ class MeasurementSource(FileModel):
             "header": header,
             "header_line": self.header_line or (0 if header else 1),
         }
-        names = [field.name for field in fields(Layout) if field.name not in ("reports", "loads", *settings)]
+        names = [field.name for field in fields(Layout) if field.name not in ("reports", *settings)]
         return Layout(**settings, **{name: getattr(self, name) for name in names})
 
     def series(self, reports: Reported, settings: Mapping[str, Setting]) -> Series:

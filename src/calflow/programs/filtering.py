@@ -17,7 +17,7 @@ import numpy as np
 from calflow.deployment.conventions import Turn, pose_matrix
 from calflow.deployment.prediction import Missing
 from calflow.estimation.calibrated_model import CalibratedModel
-from calflow.estimation.needed_conditions import check_stated, depended_on
+from calflow.estimation.needed_conditions import check_payload_stated, check_stated
 from calflow.files.problems import InputError, nearest, refuse, unknown_name
 from calflow.files.toml import checked_arguments
 from calflow.files.units import split_unit, to_si
@@ -109,7 +109,7 @@ def filter_program(
     Args:
         calibrated: the calibrated model.
         program: a RAPID, KRL, FANUC LS or URScript file, or a folder or ZIP archive of such files of one controller.
-        payload: name of the payload in the robot file; empty: nothing is carried. Needed where the model depends on it.
+        payload: name of the payload in the robot file; "": nothing is carried. None only where the model depends on none.
         tools: `NAME=numbers` defines a tool that the program does not define, in the maker's notation; `NAME` alone is
             the tool of moves that state none.
         frames: the same for work objects, bases and user frames.
@@ -149,11 +149,7 @@ def filter_program(
     given = (*stated, *(("approach", "travel") if in_order else ()))
     if missing == "refuse":
         check_stated(calibrated.needed, given, GO_ON)
-    if payload is None and robot.payloads and "payload" in depended_on(calibrated.model):
-        raise refuse(
-            f'expected {" or ".join(robot.payloads)}, under each of which the robot gives way; "": it carries nothing',
-            key="--payload",
-        )
+    check_payload_stated(calibrated.model, calibrated.payloads, payload is not None)
     if unknown := unknown_name("payload", payload or "", robot.payloads):
         raise refuse(unknown, key="--payload")
     if "time" in stated:

@@ -13,7 +13,6 @@ from calflow.deployment.attained import TARGET
 from calflow.deployment.compensation import Compensation, compensate_rows, targets_in_measuring_frame
 from calflow.deployment.inverse_kinematics import Targets
 from calflow.deployment.prediction import Missing, beyond_limits, on_conditions_of, standing
-from calflow.estimation.needed_conditions import depended_on
 from calflow.faults.implausible import plausible
 from calflow.files.deferred import pd
 from calflow.files.problems import InputError, Problem, nearest, refuse, refuse_any
@@ -72,7 +71,7 @@ def rows_to_predict(calibration: Calibration, rows: str | Path) -> GivenRows:
     path, source = Path(rows), calibration.source
     if path.suffix.lower() == ".mat":
         raise refuse("expected a CSV", path)
-    how = {"separator": source.separator, "decimal": source.decimal, "loads": _loads(calibration)}
+    how = {"separator": source.separator, "decimal": source.decimal}
     data = Measurements.to_predict(path, calibration.robot, time_origin=calibration.time_origin, **how)
     return GivenRows.of(path, plausible(data, path), source)
 
@@ -99,7 +98,7 @@ def compensate_file(
     """
     path, source = Path(targets), calibration.source
     stated = {} if frames is None else read_frames(Path(frames))
-    how = {"separator": source.separator, "decimal": source.decimal, "loads": _loads(calibration)}
+    how = {"separator": source.separator, "decimal": source.decimal}
     data = Measurements.to_reach(path, calibration.robot, calibration.time_origin, **how)
     started = not np.isnan(data.joints).any()
     if not started:
@@ -147,12 +146,6 @@ def _start_notes(data: Measurements, started: bool) -> list[str]:
     ]
 
 
-def _loads(calibration: Calibration) -> tuple[str, ...]:
-    """Return the payloads that were carried in the calibration; empty if its model's positions do not depend on them."""
-    loads = calibration.certainty.payloads
-    return loads if loads and "payload" in depended_on(calibration.model) else ()
-
-
 def rows_measured(calibration: Calibration, rows: str | Path, series: str = "") -> Measurements:
     """Return new measurements from a file, with notes on assumptions; all rows are evaluated, whatever their split.
 
@@ -198,9 +191,9 @@ def _rows_of_series(calibration: Calibration, k: int, path: Path) -> Measurement
     source = sources[k] if k < len(sources) else calibration.source
     kind = observation_kinds()[observed[k].series.kind or "pose"]
     reports = replace(kind.columns, sigma=kind.units[0].dimension)
-    layout = replace(source.layout, reports=reports, loads=_loads(calibration))
+    layout = replace(source.layout, reports=reports)
     plain = Layout(separator=source.separator, decimal=source.decimal, in_order=source.in_order, tracker=source.tracker,
-                   missing=source.missing, reports=reports, loads=layout.loads)  # fmt: skip
+                   missing=source.missing, reports=reports)  # fmt: skip
     if layout.named:
         there = set(map(str, read_cells(path, layout, layout.named)))
         columns = {

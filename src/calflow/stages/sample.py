@@ -100,7 +100,7 @@ def _points(
 def _with_payloads(rows: Measurements, payloads: Sequence[str]) -> Measurements:
     """Return the rows repeated for each of these payloads."""
     tables = [rows.table.assign(payload=payload) for payload in payloads]
-    return replace(rows, table=pd.concat(tables, ignore_index=True))
+    return replace(rows, table=pd.concat(tables, ignore_index=True), payload_stated=True)
 
 
 def _files(study: Study, settings: SampleSettings) -> tuple[Path, ...]:
