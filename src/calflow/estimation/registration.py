@@ -202,10 +202,7 @@ def _located(robot: Robot, observed: tuple[Observation, ...], train: Measurement
     result, _ = fit(LeastSquares.of(model, train.on(placed), noise), loss="soft_l1")
     corrections = result.estimate[result.model.columns(model.effects[0])]
     dims = PlacementErrors(placed).dimensions(ca.SX(corrections), nominal_dimensions(placed), Row.symbols(placed))
-    markers = np.array(ca.DM(ca.evalf(dims.markers))).T
-    return _moved(
-        placed, {(p.part, p.symbol): value for p, value in zip(model.parameters, corrections, strict=True)}, markers
-    )
+    return _moved(placed, *(np.array(ca.evalf(errors)) for errors in (dims.base, dims.tool_rotation, dims.markers)))
 
 
 def in_measuring_frame(observed: tuple[Observation, ...], data: Measurements) -> np.ndarray:
@@ -218,19 +215,18 @@ def in_measuring_frame(observed: tuple[Observation, ...], data: Measurements) ->
     return here
 
 
-def _moved(robot: Robot, corrections: dict[tuple[str, str], float], markers: np.ndarray) -> Robot:
+def _moved(robot: Robot, base: np.ndarray, tool: np.ndarray, markers: np.ndarray) -> Robot:
+    """Return the robot with errors of base (6, 1) and tool (3, 1), in their own frames, and markers at places (3, n_markers)."""
     turn = Rotation.from_euler("XYZ", robot.base.rotation)
-    small = Rotation.from_euler("XYZ", [corrections["base", axis] for axis in ("rx", "ry", "rz")])
-    origin = np.array(robot.base.origin) + turn.apply([corrections["base", axis] for axis in "xyz"])
     placed = {
         name: replace(marker, point=vector(point))
-        for (name, marker), point in zip(robot.markers.items(), markers, strict=True)
+        for (name, marker), point in zip(robot.markers.items(), markers.T, strict=True)
     }
-    moved = replace(_with_base(robot, turn * small, origin), markers=placed)
+    origin = np.array(robot.base.origin) + turn.apply(base[:3, 0])
+    moved = replace(_with_base(robot, turn * Rotation.from_euler("XYZ", base[3:, 0]), origin), markers=placed)
     if robot.tool_rotation is None:
         return moved
-    tool = _tool(robot) * Rotation.from_euler("XYZ", [corrections["tool", axis] for axis in ("rx", "ry", "rz")])
-    return replace(moved, tool_rotation=_angles(tool))
+    return replace(moved, tool_rotation=_angles(_tool(robot) * Rotation.from_euler("XYZ", tool[:, 0])))
 
 
 def _with_base(robot: Robot, turn: Rotation, origin: np.ndarray) -> Robot:

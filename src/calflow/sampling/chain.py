@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import io
 from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -18,10 +17,11 @@ from calflow.files.writing import write_whole
 
 if TYPE_CHECKING:
     import h5py
-    from emcee.backends import Backend, HDFBackend
+    from emcee.backends import Backend
 
 ENOUGH_TAU = 30  # least length of a chain in units of the longest autocorrelation time, estimated from all walkers
 BLOBS = np.dtype([("log_prior", np.float64), ("log_likelihood", np.float64)])  # of each draw
+SAVED = ("chain", "log_prob", "blobs", "accepted")  # of an ensemble, under the names of emcee's HDF backend
 COORDINATES = "cut normals"  # coordinates in which walkers are stored; a chain in others is not continued
 DIGEST = 512  # bytes of HDF5's user block, which holds the SHA-256 of the rest; a run continues no other file
 
@@ -86,7 +86,7 @@ class Chain:
         with h5py.File(image, "w", userblock_size=DIGEST) as file:
             file.attrs["independent"], file.attrs["coordinates"] = self.independent, COORDINATES
             for number, ensemble in enumerate(self.ensembles, start=1):
-                _store(ensemble, _group(file, f"ensemble{number}"))
+                _store(ensemble, file.create_group(f"ensemble{number}"))
         content = image.getbuffer()[DIGEST:]
         write_whole(self.path, _digest(content) + content)
 
@@ -99,32 +99,31 @@ class Chain:
         return np.array([ensemble.get_blobs()[discard:steps] for ensemble in self.ensembles])
 
 
-def _group(file: h5py.File, name: str) -> HDFBackend:
-    """Return emcee's HDF backend for a group of an open file, which it leaves open."""
-    from emcee.backends import HDFBackend
+def _store(ensemble: Backend, group: h5py.Group) -> None:
+    """Write an ensemble at once, in the layout that emcee's HDF backend writes step by step."""
+    import emcee
 
-    class Group(HDFBackend):
-        initialized = True
+    n_walkers, n_dimensions = ensemble.shape
+    group.attrs.update(
+        version=emcee.__version__, nwalkers=n_walkers, ndim=n_dimensions, has_blobs=True, iteration=ensemble.iteration,
+        **{f"random_state_{number}": value for number, value in enumerate(ensemble.random_state)},
+    )  # fmt: skip
+    for name in SAVED:
+        values = getattr(ensemble, name)
+        group.create_dataset(name, data=values, maxshape=(None, *values.shape[1:]))  # emcee may go on from it
 
-        def open(self, mode: str = "r") -> AbstractContextManager[h5py.File]:
-            return nullcontext(file)
 
-    return Group("", name=name)
+def _loaded(group: h5py.Group) -> Backend:
+    """Return an ensemble of a file as a backend in memory."""
+    from emcee.backends import Backend
 
-
-def _store(ensemble: Backend, kept: HDFBackend) -> None:
-    """Write an ensemble at once, in the layout that emcee writes step by step."""
-    kept.reset(*ensemble.shape)
-    if not ensemble.iteration:
-        return
-    kept.grow(ensemble.iteration, ensemble.blobs[0])
-    with kept.open() as file:
-        group = file[kept.name]
-        for name in ("chain", "log_prob", "blobs", "accepted"):
-            group[name][:] = getattr(ensemble, name)
-        for number, value in enumerate(ensemble.random_state):
-            group.attrs[f"random_state_{number}"] = value
-        group.attrs["iteration"] = ensemble.iteration
+    ensemble = Backend()
+    ensemble.reset(group.attrs["nwalkers"], group.attrs["ndim"])
+    ensemble.iteration = int(group.attrs["iteration"])
+    ensemble.random_state = [group.attrs[name] for name in sorted(group.attrs) if name.startswith("random_state_")]
+    for name in SAVED:
+        setattr(ensemble, name, group[name][:])
+    return ensemble
 
 
 def _read(path: Path) -> Chain:
@@ -142,20 +141,8 @@ def _read(path: Path) -> Chain:
     with h5py.File(io.BytesIO(content), "r") as file:
         if file.attrs["coordinates"] != COORDINATES:
             raise ValueError("its walkers are in the coordinates of an earlier version")
-        ensembles = tuple(_loaded(_group(file, f"ensemble{number}")) for number in range(1, len(file) + 1))
+        ensembles = tuple(_loaded(file[f"ensemble{number}"]) for number in range(1, len(file) + 1))
         return Chain(path, ensembles, float(file.attrs["independent"]))
-
-
-def _loaded(kept: HDFBackend) -> Backend:
-    """Return an ensemble of a file as a backend in memory."""
-    from emcee.backends import Backend
-
-    ensemble = Backend()
-    ensemble.reset(*kept.shape)
-    if kept.iteration:
-        ensemble.iteration, ensemble.accepted, ensemble.random_state = kept.iteration, kept.accepted, kept.random_state
-        ensemble.chain, ensemble.log_prob, ensemble.blobs = kept.get_chain(), kept.get_log_prob(), kept.get_blobs()
-    return ensemble
 
 
 def _digest(content: bytes | memoryview) -> bytes:
