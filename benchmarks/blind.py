@@ -25,7 +25,7 @@ from blind_run import Kind, Row, guarded, hidden_names, run_case, run_kind
 from scipy.stats import binomtest
 
 from calflow.design.discrimination import MOST_NEXT_POSES
-from calflow.effects.base import NamedCause
+from calflow.effects.wording import NamedCause
 from calflow.runs.run import run
 from calflow.study import load_study
 from hidden.case import Case, draw

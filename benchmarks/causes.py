@@ -31,7 +31,7 @@ from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.stepwise import SHARES, CauseAcceptance, Linearisation
 from calflow.diagnosis.verdict import ModelInReach, models_in_reach, probabilities, rivals_shown
-from calflow.effects.base import Cause
+from calflow.effects.cause import Cause
 from calflow.effects.link_torsion import LinkTorsion
 from calflow.effects.nonlinear_joint_stiffness import NonlinearJointStiffness
 from calflow.estimation.accuracy import error_jacobian

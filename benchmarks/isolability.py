@@ -47,7 +47,7 @@ from calflow.diagnosis import FALSE_ALARM
 from calflow.diagnosis.diagnosis import search_causes
 from calflow.diagnosis.screening import Family, Screening
 from calflow.diagnosis.stepwise import SHARES
-from calflow.effects.base import Cause
+from calflow.effects.cause import Cause
 from calflow.estimation.progress import draws
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.series import Series

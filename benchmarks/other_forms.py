@@ -25,7 +25,7 @@ from foreign_study import identified, joint_of, names_of, rivals_of, write_study
 from kept_cases import Place, Row, calibration_table
 
 from calflow.effects import catalogue
-from calflow.effects.base import cause_family
+from calflow.effects.wording import cause_family
 
 LIMIT = 6.0  # (sqrt of chi², 2 degrees of freedom, at 1 % over 100 tests: 4.3) + 1.645
 LIMITS = (2.0, 3.0, 5.0)

@@ -12,7 +12,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from calflow.effects import Effect
-from calflow.effects.base import Variable, joint_variable, parts
+from calflow.effects.base import Variable, joint_variable
+from calflow.effects.cause import parts
 from calflow.model import over_rows
 from calflow.robot.mechanism import Row
 from made.bench import Bench

@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 
 from calflow.effects import Effect, catalogue
-from calflow.effects.base import parts
+from calflow.effects.cause import parts
 from made.bench import Bench
 
 KEPT = 1e-9  # of a matrix's largest singular value: what is less is rounding

@@ -15,7 +15,7 @@ from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.stepwise import WITHIN, Linearisation
 from calflow.effects import catalogue
-from calflow.effects.base import Cause
+from calflow.effects.cause import Cause
 from calflow.estimation.fit import fit_reweighted
 from calflow.model import Model, build
 from estimation.data import SIGMA, measured, stated

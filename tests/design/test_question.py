@@ -17,7 +17,7 @@ from calflow.diagnosis.screening import Family
 from calflow.diagnosis.stepwise import Detection
 from calflow.diagnosis.verdict import Rival, Verdict
 from calflow.effects import catalogue
-from calflow.effects.base import Cause
+from calflow.effects.cause import Cause
 from calflow.estimation.fit import fit_reweighted
 from calflow.files.tables import columns
 from calflow.measurements.measurements import Measurements

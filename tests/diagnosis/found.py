@@ -6,7 +6,7 @@ import numpy as np
 
 from calflow.diagnosis.fitted import Fitted
 from calflow.effects import catalogue
-from calflow.effects.base import Cause
+from calflow.effects.cause import Cause
 from calflow.estimation.fit import fit_reweighted
 from calflow.model import Model, build
 from estimation.data import measured, stated

@@ -11,7 +11,8 @@ import pytest
 from calflow.diagnosis.screening import Family
 from calflow.diagnosis.stepwise import Detection
 from calflow.diagnosis.verdict import MOST_FITTED, ModelInReach, Rival, fitted_alternatives, verdict
-from calflow.effects.base import UNEXPLAINED, Cause
+from calflow.effects.cause import Cause
+from calflow.effects.wording import UNEXPLAINED
 from calflow.estimation.calibrated_model import Alternative, choice_errors
 from calflow.estimation.model_tables import AlternativeParameter, _alternatives, alternatives_table
 from calflow.files.tables import from_frame

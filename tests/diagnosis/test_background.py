@@ -14,7 +14,7 @@ from calflow.diagnosis.stepwise import Linearisation
 from calflow.diagnosis.unexplained import _together
 from calflow.diagnosis.verdict import TEMPERED, WITHIN
 from calflow.effects import catalogue
-from calflow.effects.base import Cause
+from calflow.effects.cause import Cause
 from calflow.measurements.measurements import Measurements
 from calflow.model import build
 from diagnosis.found import cause, hidden, start

@@ -12,7 +12,7 @@ from calflow.design.candidates import packed_conditions
 from calflow.diagnosis.cause_curves import CurvePoint, curves
 from calflow.diagnosis.fitted import Fitted
 from calflow.effects import catalogue
-from calflow.effects.base import Cause
+from calflow.effects.cause import Cause
 from calflow.estimation.fit import Fit
 from calflow.estimation.lack_of_fit import LackOfFit
 from calflow.estimation.least_squares import LeastSquares

@@ -13,7 +13,7 @@ from calflow.diagnosis.screening import Family, Screening, f_threshold
 from calflow.diagnosis.stepwise import CauseAcceptance, Screened
 from calflow.diagnosis.verdict import amplitude
 from calflow.effects import catalogue
-from calflow.effects.base import Cause
+from calflow.effects.cause import Cause
 from diagnosis.test_exchange import replaced
 from robots import industrial
 

@@ -9,7 +9,7 @@ from calflow.diagnosis.regressors import Candidate, Regressors, TallMatrix
 from calflow.diagnosis.screening import Family, Screening
 from calflow.diagnosis.stepwise import Exchange
 from calflow.effects import catalogue
-from calflow.effects.base import Cause
+from calflow.effects.cause import Cause
 from diagnosis.test_screening import with_residual
 from robots import industrial
 

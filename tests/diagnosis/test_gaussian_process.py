@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calflow.diagnosis.unexplained import predicted
-from calflow.effects.base import Cause
+from calflow.effects.cause import Cause
 from calflow.estimation.accuracy import errors
 from calflow.estimation.smooth_functions import Shift
 from calflow.model import Model

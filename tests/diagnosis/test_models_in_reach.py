@@ -7,7 +7,7 @@ import pytest
 
 from calflow.diagnosis.verdict import ModelInReach, cause_table, models_table, probabilities
 from calflow.effects import catalogue
-from calflow.effects.base import Cause
+from calflow.effects.cause import Cause
 from robots import robot
 
 JOINTS = [

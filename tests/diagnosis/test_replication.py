@@ -8,7 +8,7 @@ import pytest
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.replication import confirm, curve
 from calflow.effects import catalogue
-from calflow.effects.base import Cause
+from calflow.effects.cause import Cause
 from calflow.estimation.fit import fit_reweighted
 from calflow.model import Model, build
 from estimation.data import measured, stated

@@ -12,7 +12,7 @@ from calflow.diagnosis.regressors import ErrorCorrelation, RegressorProducts, Re
 from calflow.diagnosis.screening import Catalogue, Screening
 from calflow.diagnosis.stepwise import CauseAcceptance
 from calflow.effects import catalogue
-from calflow.effects.base import Cause
+from calflow.effects.cause import Cause
 from calflow.estimation.fit import fit
 from calflow.model import Model, build
 from estimation.data import measured, problem

@@ -16,7 +16,7 @@ from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.stepwise import Linearisation
 from calflow.diagnosis.unexplained import UnexplainedStructure
 from calflow.diagnosis.verdict import DeployedCauses
-from calflow.effects.base import NamedCause
+from calflow.effects.wording import NamedCause
 from calflow.estimation.calibrated_model import Alternative
 from calflow.files.problems import InputError
 from calflow.files.tables import from_frame, to_frame

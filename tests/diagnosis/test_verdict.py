@@ -13,7 +13,7 @@ from calflow.diagnosis.screening import Family, Score, by_place
 from calflow.diagnosis.stepwise import WITHIN, Detection
 from calflow.diagnosis.verdict import verdict
 from calflow.effects import catalogue
-from calflow.effects.base import Cause
+from calflow.effects.cause import Cause
 from robots import industrial
 
 ROBOT = industrial()

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from calflow.effects import Effect, catalogue
-from calflow.effects.base import Cause
+from calflow.effects.cause import Cause
 from calflow.effects.joint_error_map import LENGTHS
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import condition_columns, numbered

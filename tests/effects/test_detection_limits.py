@@ -12,7 +12,7 @@ from calflow.diagnosis.screening import Family, Score
 from calflow.diagnosis.stepwise import Screened
 from calflow.diagnosis.verdict import amplitude
 from calflow.effects import catalogue
-from calflow.effects.base import Cause, parts
+from calflow.effects.cause import Cause, parts
 from calflow.measurements.measurements import Measurements
 from effects.bench import UNSHOWN, waves
 

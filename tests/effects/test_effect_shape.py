@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 
 import robots
 from calflow.effects import Effect, catalogue
-from calflow.effects.base import Carried, Cause
+from calflow.effects.cause import Carried, Cause
 from calflow.effects.joint_compliance import JointCompliance
 from calflow.model import Model, build
 from calflow.robot.mechanism import Deflection, Dimensions, Loads, Row, State

@@ -14,7 +14,8 @@ import pytest
 import calflow as cf
 from calflow.calibration import identify
 from calflow.effects import Effect, catalogue, effect_class, effects_given
-from calflow.effects.base import JointError, Term, Words, cause_name
+from calflow.effects.base import JointError, Term, Words
+from calflow.effects.wording import cause_name
 from calflow.estimation.model_tables import ModelEffect, effect_table, read_effects
 from calflow.estimation.parameters import Parameters
 from calflow.files.tables import from_frame

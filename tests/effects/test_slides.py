@@ -7,7 +7,7 @@ import pytest
 
 from calflow.design.candidates import packed_conditions
 from calflow.effects import catalogue
-from calflow.effects.base import Cause
+from calflow.effects.cause import Cause
 from calflow.effects.joint_hysteresis import JointHysteresis
 from calflow.effects.periodic_joint_error import PeriodicJointError
 from calflow.model import build

@@ -5,8 +5,8 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from calflow.effects.base import waves
 from calflow.effects.frame_drift import FrameDrift
+from calflow.effects.smooth_curve import waves
 from calflow.robot.mechanism import Row, session_number
 from robots import ur10
 

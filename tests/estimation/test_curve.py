@@ -6,8 +6,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from calflow.effects.base import Cause, Travel, waves
+from calflow.effects.cause import Cause
 from calflow.effects.joint_error_map import FINEST, JointErrorMap
+from calflow.effects.smooth_curve import Travel, waves
 from calflow.estimation.extrapolation import Curve
 from robots import industrial
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calflow.deployment.prediction import predict_rows
-from calflow.effects.base import Cause
+from calflow.effects.cause import Cause
 from calflow.effects.frame_drift import FrameDrift
 from calflow.effects.joint_error_map import JointErrorMap
 from calflow.effects.thermal_growth import ThermalGrowth

@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from calflow.effects import Effect, catalogue
-from calflow.effects.base import Cause, parts
+from calflow.effects.cause import Cause, parts
 from calflow.estimation.error_model import normal_equations, usual_sizes
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import Noise

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 import calflow as cf
-from calflow.effects.base import Cause
+from calflow.effects.cause import Cause
 from hidden.case import Case, World, draw, measure, write_case
 from hidden.causes import Hidden, measured_points
 from hidden.simulator import Array

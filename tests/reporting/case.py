@@ -21,7 +21,8 @@ from calflow.diagnosis.findings import Finding
 from calflow.diagnosis.misfit import MisfitRegion
 from calflow.diagnosis.verdict import ONLY, CauseProbability, ModelRow
 from calflow.effects import catalogue
-from calflow.effects.base import Cause, NamedCause
+from calflow.effects.cause import Cause
+from calflow.effects.wording import NamedCause
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.calibrated_model import with_maps_held
 from calflow.estimation.certainty import Certainty

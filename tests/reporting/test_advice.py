@@ -22,7 +22,8 @@ from calflow.design.isolability import IsolabilityCell
 from calflow.diagnosis.candidates import CandidateRow
 from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.findings import Finding
-from calflow.effects.base import ASKED, NEEDS, NamedCause
+from calflow.effects.base import ASKED, NEEDS
+from calflow.effects.wording import NamedCause
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.certainty import Certainty, MissedPose
 from calflow.estimation.identifiability import Statement

@@ -19,7 +19,7 @@ from matplotlib.text import Text
 
 from calflow.deployment.run_outcome import RunOutcome
 from calflow.effects import catalogue
-from calflow.effects.base import amount, cause_name, place_name, place_names
+from calflow.effects.wording import amount, cause_name, place_name, place_names
 from calflow.files.tables import Results
 from calflow.files.words import chance, chance_figure, sureness
 from calflow.reporting import document

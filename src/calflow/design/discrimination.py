@@ -19,7 +19,8 @@ from calflow.diagnosis.screening import Score
 from calflow.diagnosis.stepwise import Detection
 from calflow.diagnosis.verdict import Rival, Verdict, named
 from calflow.effects import effect_class
-from calflow.effects.base import ASKED, Cause
+from calflow.effects.base import ASKED
+from calflow.effects.cause import Cause
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.probing import probed
 from calflow.estimation.progress import Draws

@@ -23,7 +23,8 @@ from calflow.diagnosis.regressors import Candidate, H, Place, Regressors, TallMa
 from calflow.diagnosis.screening import Catalogue, Family, Screening
 from calflow.diagnosis.stepwise import SHARES, WITHIN
 from calflow.effects import Effect, effect_class
-from calflow.effects.base import Cause, NamedCause
+from calflow.effects.cause import Cause
+from calflow.effects.wording import NamedCause
 from calflow.estimation.probing import probed
 from calflow.files.deferred import pd
 from calflow.files.tables import column, to_frame

@@ -33,7 +33,7 @@ from calflow.diagnosis.findings import findings
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.verdict import named
-from calflow.effects.base import UNEXPLAINED
+from calflow.effects.wording import UNEXPLAINED
 from calflow.estimation.accuracy import distances, errors
 from calflow.estimation.calibrated_model import Alternative, CalibratedModel, offsets
 from calflow.estimation.error_model import ErrorsAtRows

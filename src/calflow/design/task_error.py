@@ -22,7 +22,7 @@ from calflow.diagnosis.screening import Catalogue, by_place, place_probabilities
 from calflow.diagnosis.stepwise import Linearisation
 from calflow.diagnosis.verdict import named
 from calflow.effects import Effect
-from calflow.effects.base import Cause
+from calflow.effects.cause import Cause
 from calflow.estimation.calibrated_model import Alternative, offsets
 from calflow.estimation.error_model import VISIBLE, ErrorModel
 from calflow.estimation.probing import probed

@@ -22,7 +22,7 @@ import scipy
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import Background, Regressors, TallMatrix
 from calflow.diagnosis.screening import Screening
-from calflow.effects.base import Cause
+from calflow.effects.cause import Cause
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.residual_field import learnt
 from calflow.estimation.smooth_functions import JointField, SmoothFunction, beside_joints, moved_together

@@ -16,7 +16,8 @@ from calflow.diagnosis.screening import Score, by_place, f_threshold, place_prob
 from calflow.diagnosis.stepwise import Screened
 from calflow.diagnosis.verdict import SIZE, amplitude
 from calflow.effects import Effect, catalogue
-from calflow.effects.base import NOTHING, Cause
+from calflow.effects.base import NOTHING
+from calflow.effects.cause import Cause
 from calflow.estimation.extrapolation import Curve
 from calflow.estimation.parameters import UNIT
 from calflow.files.deferred import pd

@@ -9,7 +9,8 @@ import numpy as np
 
 from calflow.diagnosis.fitted import Fitted
 from calflow.effects import Effect
-from calflow.effects.base import Cause, Variable
+from calflow.effects.base import Variable
+from calflow.effects.cause import Cause
 from calflow.estimation.accuracy import completed, error_jacobian, errors, judged_unit
 from calflow.estimation.smooth_functions import JointField
 from calflow.files.deferred import pd

@@ -30,7 +30,7 @@ from calflow.diagnosis.verdict import (
     models_in_reach,
     verdict,
 )
-from calflow.effects.base import Cause
+from calflow.effects.cause import Cause
 from calflow.estimation.accuracy import Accuracy, accuracy, leading_errors
 from calflow.estimation.calibrated_model import Alternative, CalibratedModel, series_noise
 from calflow.estimation.fit import Fit

@@ -42,7 +42,7 @@ from calflow.diagnosis.stepwise import (
     verified,
     words,
 )
-from calflow.effects.base import Cause
+from calflow.effects.cause import Cause
 from calflow.estimation.fit import Fit
 from calflow.estimation.leverage import halved
 from calflow.estimation.progress import Advance, nobody

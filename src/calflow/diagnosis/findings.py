@@ -19,18 +19,9 @@ from calflow.diagnosis.noise_growth import RANGE, Growth
 from calflow.diagnosis.unexplained import POSE, UnexplainedStructure, is_any_error_along, predicted
 from calflow.diagnosis.verdict import SIZE, Rival, Verdict, found_amplitude, named
 from calflow.effects import catalogue
-from calflow.effects.base import (
-    IN_TIME,
-    NONLINEAR,
-    SMOOTH_IN,
-    UNEXPLAINED,
-    Cause,
-    NamedCause,
-    amount,
-    cause_family,
-    cause_name,
-    cause_words,
-)
+from calflow.effects.base import IN_TIME, NONLINEAR, SMOOTH_IN
+from calflow.effects.cause import Cause
+from calflow.effects.wording import UNEXPLAINED, NamedCause, amount, cause_family, cause_name, cause_words
 from calflow.estimation.accuracy import distances, errors, gain, judged_unit
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.extrapolation import Curve

@@ -10,7 +10,7 @@ import numpy as np
 
 from calflow.diagnosis.regressors import Background, Regressors
 from calflow.effects import Effect
-from calflow.effects.base import Cause
+from calflow.effects.cause import Cause
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.error_model import ErrorModel, SmoothVariances, beside_smooth_errors
 from calflow.estimation.extrapolation import beyond_measured

@@ -19,7 +19,7 @@ from typing import Generic, Protocol, Self, TypeVar
 import numpy as np
 
 from calflow.effects import Effect
-from calflow.effects.base import Cause, parts
+from calflow.effects.cause import Cause, parts
 from calflow.estimation.fit import Fit
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.probing import Probe, side_by_side

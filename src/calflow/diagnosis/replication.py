@@ -10,7 +10,8 @@ import numpy as np
 
 from calflow.diagnosis.fitted import Fitted
 from calflow.effects import Effect
-from calflow.effects.base import Carried, Cause, JointError
+from calflow.effects.base import JointError
+from calflow.effects.cause import Carried, Cause
 from calflow.estimation.accuracy import distances, errors
 from calflow.estimation.fit import Fit, fit_reweighted
 from calflow.estimation.noise import measured_noise

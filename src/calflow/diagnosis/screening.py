@@ -21,7 +21,7 @@ import scipy
 
 from calflow.diagnosis.regressors import Candidate, H, Place, Regressors
 from calflow.effects import Effect, catalogue, effect_class
-from calflow.effects.base import parts
+from calflow.effects.cause import parts
 from calflow.estimation.variance_components import LOG_PRIOR, SIZES, directions, explained, log_likelihood, mixed
 from calflow.measurements.measurements import Measurements
 

@@ -31,7 +31,7 @@ import numpy as np
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import H, Place, Regressors
 from calflow.diagnosis.screening import INVISIBLE, Catalogue, Family, Score, Screening, by_place, f_test
-from calflow.effects.base import Cause
+from calflow.effects.cause import Cause
 from calflow.estimation.variance_components import LOG_PRIOR, SIZES, directions, explained, log_likelihood, mixed
 
 WITHIN = 10.0  # cost: closer rivals are not distinguished (Kass and Raftery 1995: "very strong" beyond)

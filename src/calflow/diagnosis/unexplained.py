@@ -32,7 +32,9 @@ from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import Background
 from calflow.diagnosis.screening import MATERIAL, Score, Screening, by_place, place_probabilities
 from calflow.effects import Effect
-from calflow.effects.base import ITS_ANGLE, UNITS, Cause
+from calflow.effects.base import ITS_ANGLE
+from calflow.effects.cause import Cause
+from calflow.effects.wording import UNITS
 from calflow.estimation.accuracy import error_jacobian, judged_unit
 from calflow.estimation.smooth_functions import (
     SIZE,

@@ -26,7 +26,8 @@ from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import H, Hypothesis, Place
 from calflow.diagnosis.screening import Catalogue, Score
 from calflow.diagnosis.stepwise import REACH, WITHIN, Detection
-from calflow.effects.base import UNEXPLAINED, Cause, NamedCause
+from calflow.effects.cause import Cause
+from calflow.effects.wording import UNEXPLAINED, NamedCause
 from calflow.estimation.calibrated_model import MANY, Alternative
 from calflow.estimation.leverage import UNSURE
 from calflow.files.deferred import pd

@@ -9,7 +9,8 @@ from typing import Self
 import casadi as ca
 import numpy as np
 
-from calflow.effects.base import RMS, Effect, Wave, Words, joint_variable, waves
+from calflow.effects.base import Effect, Words, joint_variable
+from calflow.effects.smooth_curve import RMS, Wave, waves
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Deflection, Row, State
 from calflow.robot.parts import Parameter

@@ -1,7 +1,7 @@
-"""Base classes of effects (physical causes of error) and the catalogue that finds them.
+"""Base classes of effects (physical causes of error), what they need, and their catalogue.
 
-`Effect` is a cause with its parameters, `Cause` one effect at one place (joint, link, part), `JointError` an error of
-joint readings. `NEEDS` lists the requirements on robot file and data; `waves` expands a Matern 5/2 process on an interval.
+`Effect` is a cause with its parameters, `JointError` an error of joint readings, `ActingEffect` one that acts as another.
+`NEEDS` lists the requirements on robot file and data, `SHOWN` the kinds of rows in which effects show.
 """
 
 from __future__ import annotations
@@ -12,16 +12,15 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache
-from math import gamma, pi, sqrt
 from typing import Any, ClassVar, Self
 
 import casadi as ca
 import numpy as np
 
+from calflow.effects.smooth_curve import Travel
 from calflow.files import plugins
 from calflow.files.problems import Problem, nearest, refuse, refuse_any
 from calflow.files.toml import as_tuples
-from calflow.files.words import effect_words, listed, with_sd
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Deflection, Dimensions, Loads, Row, State, rated_torques
 from calflow.robot.parts import Parameter
@@ -29,14 +28,6 @@ from calflow.robot.robot import Robot
 
 WINDUP_SD, WINDUP_BOUND = 10e-3, 50e-3  # rad (prismatic: m): wind-up of a joint's spring at its rated torque
 NOTHING = 1e-300  # keeps the derivative of a norm finite at zero
-UNEXPLAINED = "unexplained"  # in place of a cause: an unnamed error that depends on the same input
-UNITS = {
-    "rad": (1e6, "µrad"), "m": (1e3, "mm"), "1": (100.0, "%"), "rad/Nm": (1e9, "µrad/kNm"), "m/N": (1e6, "µm/N"),
-    "Nm2": (1e-6, "MNm²"), "1/Nm2": (1e6, "1/MNm²"), "Nm": (1e-3, "kNm"), "m/s": (3.6e6, "mm/h"), "rad/s": (3.6e6, "mrad/h"),
-    "1/K": (1e6, "µm/m per °C"), "m/m": (1e6, "µm/m"),
-}  # fmt: skip
-FLEXIBILITY = "1/Nm2"
-LARGE_ANGLE = 2e-3  # rad: angles from here on are stated in mrad
 TRANSMISSION = "transmission error"
 OF_THE_FRAME = "drift of the device's frame"  # a step, also between sessions, a steady drift or a random one
 LOST_MOTION = "lost motion"
@@ -50,9 +41,6 @@ ITS_ANGLE, ITS_TORQUE = "q", "tau"  # of the cause's own joint
 SMOOTH_IN = {TRANSMISSION: (ITS_ANGLE,), NONLINEAR: (ITS_TORQUE,), OF_THE_FRAME: IN_TIME}
 REVERSALS = "vary the travel since the last reversal, from tenths of a degree (a slide: of a millimetre) to many"
 JOINT_ALONE = "move the joint alone over all its travel, and measure closely on the way"
-NEGLIGIBLE = 1e-3  # share of the largest prior standard deviation below which a basis function is dropped
-MARGIN = 1.1  # half-width of the domain, whose ends have zero boundary values, over that of the interval
-RMS = 1 / sqrt(2)  # root mean square of a sine wave of amplitude 1
 
 
 @dataclass(frozen=True)
@@ -148,8 +136,6 @@ SHOWN = {
         "the time of each reading, or the temperature as it changes",
     ),
 }
-
-
 # All that a test may ask for, by id.
 ASKED: Mapping[str, Need | ShownBy] = {**NEEDS, **SHOWN}
 
@@ -592,222 +578,6 @@ class ActingEffect(Effect):
 
 
 @dataclass(frozen=True)
-class Cause(ActingEffect):
-    """An effect at one place: the parameters of one part are free, those of all other parts are zero."""
-
-    effect: Effect
-    part: str
-
-    @property
-    def id(self) -> str:  # type: ignore[override]
-        """The effect's id."""
-        return self.effect.id
-
-    @property
-    def title(self) -> str:  # type: ignore[override]
-        """The effect's name in reports."""
-        return self.effect.in_words().name
-
-    @property
-    def detail(self) -> str:
-        """The effect's variant in words, preceded by the part where neither joint nor name implies it."""
-        alone = all(parameter.part == self.part for parameter in self.effect.declared)
-        part = "" if alone or self.joint or self.part == self.effect.whole else self.part
-        return ", ".join(filter(None, (part, self.effect.detail_at(self.joint))))
-
-    @property
-    def variant(self) -> str:
-        """The effect's variant in short."""
-        return self.effect.variant
-
-    @property
-    def joint(self) -> int:
-        """Number of the joint or link, 0 for none."""
-        return self.declared[0].joint
-
-    @property
-    def place(self) -> tuple[str, str]:
-        """Effect id and part, which all variants at this place share."""
-        return self.effect.id, self.part
-
-    def later(self, series: Measurements | None) -> Self:
-        """Return the cause for rows measured later."""
-        return replace(self, effect=self.effect.later(series))
-
-    @property
-    def n_parameters(self) -> int:
-        """Number of parameters."""
-        return len(self.declared)
-
-    @cached_property
-    def bounds(self) -> np.ndarray:
-        """Lower and upper bounds of the parameters relative to nominal, shape (2, n_parameters)."""
-        return np.array([(p.lower - p.nominal, p.upper - p.nominal) for p in self.declared]).T
-
-    @property
-    def family(self) -> str:  # type: ignore[override]
-        """The effect's family."""
-        return self.effect.family
-
-    @property
-    def alike(self) -> tuple[str, ...]:  # type: ignore[override]
-        """Ids of the effects that no pose distinguishes from it."""
-        return self.effect.alike
-
-    @property
-    def needs(self) -> tuple[str, ...]:  # type: ignore[override]
-        """What the effect needs of robot and data."""
-        return self.effect.needs
-
-    def same_form(self, other: Cause) -> bool:
-        """Whether another cause is this one, in this variant or in one that excludes it."""
-        return self.place == other.place and self.effect.same_as(other.effect)
-
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Return the part's parameters."""
-        return self.declared
-
-    @cached_property
-    def declared(self) -> tuple[Parameter, ...]:
-        """The part's parameters, as the effect names them."""
-        return tuple(parameter for parameter in self.effect.declared if parameter.part == self.part)
-
-    @cached_property
-    def _indices(self) -> list[int]:
-        return [k for k, parameter in enumerate(self.effect.declared) if parameter.part == self.part]
-
-    def acting(self, p: ca.SX) -> tuple[Effect, ca.SX]:
-        """Return the effect and all its parameters, those of other parts zero."""
-        whole = ca.SX(len(self.effect.declared), 1)
-        whole[self._indices] = p
-        return self.effect, whole
-
-    def scatter(self, p: ca.SX, row: Row) -> ca.SX | float:
-        """Return the effect's contribution to the standard deviation."""
-        return self.effect.scatter(self.acting(p)[1], row)
-
-
-@dataclass(frozen=True)
-class Carried(ActingEffect):
-    """A cause with fixed parameter values from an earlier estimate, without free parameters."""
-
-    cause: Cause
-    values: tuple[float, ...]
-
-    title = "known beforehand"
-
-    def later(self, series: Measurements | None) -> Self:
-        """Return the same for rows measured later."""
-        return replace(self, cause=self.cause.later(series))
-
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Return none."""
-        return ()
-
-    @cached_property
-    def declared(self) -> tuple[Parameter, ...]:
-        """None."""
-        return ()
-
-    def acting(self, p: ca.SX) -> tuple[Effect, ca.SX]:
-        """Return the cause and its fixed values."""
-        return self.cause, ca.SX(ca.DM(self.values))
-
-
-def parts(effect: Effect) -> dict[str, np.ndarray]:
-    """Return, for each part, the indices of its parameters."""
-    named = [parameter.part for parameter in effect.declared]
-    return {part: np.flatnonzero(np.array(named) == part) for part in dict.fromkeys(named)}
-
-
-@dataclass(frozen=True)
-class NamedCause:
-    """The id of an effect with the number of its joint or link (0 for none)."""
-
-    cause: str
-    joint: int
-
-    @property
-    def label(self) -> str:
-        """The id, followed by the number of its joint if it has one."""
-        return f"{self.cause} {self.joint}" if self.joint else self.cause
-
-    @property
-    def name(self) -> str:
-        """The cause's name in words, with its place."""
-        return cause_name(self.cause, self.joint)
-
-    def covers(self, other: NamedCause) -> bool:
-        """Whether another is the same cause or of the same family at the same joint, and so goes by the family's name."""
-        family = cause_family(self.cause)
-        return other == self or (bool(family) and (cause_family(other.cause), other.joint) == (family, self.joint))
-
-
-def cause_family(cause: str) -> str:
-    """Return the family of an effect, given its id; empty where it has none."""
-    kind = effect_class(cause)
-    return kind.family if kind else ""
-
-
-def cause_name(cause: str, joint: int | None = None, part: str = "") -> str:
-    """Return a cause's name with its joint or link, else with its part in brackets."""
-    name = cause_words(cause).name
-    if joint:
-        return f"{name} of {_place_word(cause)} {joint}"
-    return f"{name} ({part})" if part else name
-
-
-def place_name(cause: str, joint: int | None, part: str) -> str:
-    """Return a cause's name with its place, given its joint or link (if any) and its part."""
-    kind = effect_class(cause)
-    return cause_name(cause, joint, "" if joint or (kind and kind.whole == part) else part)
-
-
-def place_names(cause: str, places: Sequence[tuple[int | None, str]]) -> str:
-    """Return a cause's name with all its places, each given as joint or link (if any) and part."""
-    numbered = [joint for joint, _ in places if joint]
-    if len(numbered) < 2 or len(numbered) < len(places):
-        return listed([place_name(cause, joint, part) for joint, part in places])
-    return f"{cause_words(cause).name} of {_place_word(cause)}s {listed(numbered)}"
-
-
-def cause_words(cause: str) -> Words:
-    """Return the wording of a cause, given the id of its effect."""
-    if cause == UNEXPLAINED:
-        return Words("something unexplained")
-    kind = effect_class(cause)
-    return kind.in_words() if kind else Words(effect_words(cause))
-
-
-def _place_word(cause: str) -> str:
-    kind = effect_class(cause)
-    return kind.place_word if kind else "joint"
-
-
-def readable_size(cause: str, unit: str) -> tuple[float, str]:
-    """Return the factor from SI and the display unit of a cause's size."""
-    kind = effect_class(cause)
-    return (kind.readable.get(unit) if kind else None) or UNITS.get(unit) or (1.0, unit)
-
-
-def as_stiffness(flexibility: float, unit: str) -> tuple[float, str]:
-    """Return a flexibility as the stiffness that reports state, with its unit; any other size unchanged."""
-    return (1 / flexibility, "Nm2") if unit == FLEXIBILITY and flexibility > 0 else (flexibility, unit)
-
-
-def amount(cause: str, estimate: float, sd: float, unit: str) -> str:
-    """Return an estimate with its standard deviation in display units; a flexibility is shown as a stiffness."""
-    if unit == FLEXIBILITY and estimate > 0:
-        sd /= estimate**2
-    estimate, unit = as_stiffness(estimate, unit)
-    factor, unit_shown = readable_size(cause, unit)
-    if unit_shown == "µrad" and abs(estimate) >= LARGE_ANGLE:
-        factor, unit_shown = 1e3, "mrad"
-    value, deviation = with_sd(factor * estimate, factor * sd)
-    return f"{value} ± {deviation} {unit_shown}" if deviation != "–" else f"{value} {unit_shown}"
-
-
-@dataclass(frozen=True)
 class Term:
     """A basis function of a joint's error, dq = parameter · value; unit, prior_sd and bound in SI (prismatic: m)."""
 
@@ -876,50 +646,3 @@ class JointError(Effect):
         return np.cumsum(counts).tolist()
 
     variable = joint_variable
-
-
-@dataclass(frozen=True, eq=False)
-class Travel:
-    """The ends of a smooth curve's travel, its correlation length [rad], and the mean products (n, n) of its basis functions."""
-
-    low: float
-    high: float
-    length: float
-    products: np.ndarray
-
-
-@dataclass(frozen=True)
-class Wave:
-    """A sine basis function of a unit-variance process: number (from 1), amplitude's prior sd, value, mean over interval."""
-
-    number: int
-    sd: float
-    value: ca.SX
-    mean: float
-
-
-def waves(variable: ca.SX, low: float, high: float, length: float, finest: float) -> list[Wave]:
-    """Return the sine basis functions of a smooth curve of a variable (1,) on [low, high], longest wavelength first.
-
-    length is the correlation length and finest the resolution, both in the variable's unit. The amplitudes are independent
-    a priori, their variance the spectral density (Solin and Saerkkae 2020), so that smoothness is an ordinary prior. Beyond
-    the ends, by a twentieth of the interval, the curve is zero: continued waves would mirror what was measured inside.
-    """
-    middle, half = (high + low) / 2, MARGIN * (high - low) / 2
-    number = np.arange(1, int(2 * half / finest) + 1)
-    sd = np.sqrt(_spectrum(pi * number / (2 * half), length) / half)
-    inside = ca.fmax(middle - half, ca.fmin(middle + half, variable))
-    angle = pi * (inside - middle + half) / (2 * half)
-    kept = sd > NEGLIGIBLE * sd[0]
-    # One vectorised sine: building the waves separately takes twenty times as long.
-    values = ca.vertsplit(ca.sin(ca.DM(number[kept].astype(float)) * angle))
-    begin, end = (pi * number[kept] * (0.5 + side * (high - low) / (4 * half)) for side in (-1, 1))
-    mean = (np.cos(begin) - np.cos(end)) / (end - begin)
-    every = zip(number[kept], sd[kept], values, mean, strict=True)
-    return [Wave(int(k), float(s), value, float(m)) for k, s, value, m in every]
-
-
-def _spectrum(omega: np.ndarray, length: float) -> np.ndarray:
-    """Return the spectral density of a unit-variance Matern 5/2 process (Rasmussen and Williams 2006, equation 4.15)."""
-    rate = 5 / length**2
-    return np.asarray(2 * sqrt(pi) * gamma(3) / gamma(2.5) * rate**2.5 * (rate + omega**2) ** -3)

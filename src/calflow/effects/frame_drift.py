@@ -7,7 +7,8 @@ from typing import Self
 
 import casadi as ca
 
-from calflow.effects.base import IN_TIME, MARGIN, OF_THE_FRAME, RMS, Effect, Variable, Words, displaced, waves
+from calflow.effects.base import IN_TIME, OF_THE_FRAME, Effect, Variable, Words, displaced
+from calflow.effects.smooth_curve import MARGIN, RMS, waves
 from calflow.measurements.measurements import Measurements, sessions_of
 from calflow.robot.mechanism import Row, session_number
 from calflow.robot.parts import Parameter

@@ -9,8 +9,9 @@ from typing import Literal, Self
 import casadi as ca
 import numpy as np
 
-from calflow.effects.base import WINDUP_BOUND, WINDUP_SD, Effect, Words, joint_variable, parts
+from calflow.effects.base import WINDUP_BOUND, WINDUP_SD, Effect, Words, joint_variable
 from calflow.effects.base_tilt import Arm
+from calflow.effects.cause import parts
 from calflow.measurements.measurements import Measurements
 from calflow.robot.frames import apply
 from calflow.robot.mechanism import (

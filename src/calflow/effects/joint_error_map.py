@@ -9,7 +9,8 @@ from typing import Self
 import casadi as ca
 import numpy as np
 
-from calflow.effects.base import JOINT_ALONE, RMS, TRANSMISSION, JointError, Term, Travel, Words, waves
+from calflow.effects.base import JOINT_ALONE, TRANSMISSION, JointError, Term, Words
+from calflow.effects.smooth_curve import RMS, Travel, waves
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Row, State
 from calflow.robot.robot import Robot

@@ -9,7 +9,8 @@ from typing import Literal
 import casadi as ca
 import numpy as np
 
-from calflow.effects.base import OF_THE_TOOL, Effect, Words, parts, payload_variable
+from calflow.effects.base import OF_THE_TOOL, Effect, Words, payload_variable
+from calflow.effects.cause import parts
 from calflow.robot.mechanism import Deflection, Row, State
 from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot

@@ -10,7 +10,8 @@ from typing import Literal
 import casadi as ca
 import numpy as np
 
-from calflow.effects.base import OF_THE_TOOL, Effect, Variable, Words, parts
+from calflow.effects.base import OF_THE_TOOL, Effect, Variable, Words
+from calflow.effects.cause import parts
 from calflow.effects.tool_deflection import TOOL, markers_alone, reach, tools
 from calflow.robot.mechanism import Deflection, Row, State
 from calflow.robot.parts import Parameter

@@ -8,7 +8,8 @@ from typing import Self
 
 import casadi as ca
 
-from calflow.effects.base import Words, parts
+from calflow.effects.base import Words
+from calflow.effects.cause import parts
 from calflow.effects.step_change import StepChange
 from calflow.effects.tool_deflection import TOOL, markers_alone, tools
 from calflow.measurements.measurements import Measurements

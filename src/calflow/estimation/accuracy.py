@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 
 from calflow.effects import Effect
-from calflow.effects.base import Cause
+from calflow.effects.cause import Cause
 from calflow.files.deferred import pd
 from calflow.files.tables import column, typed
 from calflow.files.units import METRE, MeasurementUnit

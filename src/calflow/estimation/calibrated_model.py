@@ -13,7 +13,7 @@ from typing import Self
 import numpy as np
 
 from calflow.effects import Effect
-from calflow.effects.base import Carried, Cause
+from calflow.effects.cause import Carried, Cause
 from calflow.estimation.accuracy import completed, error_jacobian, errors, judged_unit
 from calflow.estimation.error_model import ErrorModel, of_parameters
 from calflow.estimation.least_squares import Loss

@@ -16,7 +16,9 @@ import casadi as ca
 import numpy as np
 import scipy
 
-from calflow.effects.base import OF_THE_FRAME, Cause, Effect, JointError, Term, Travel, effect_class
+from calflow.effects.base import OF_THE_FRAME, Effect, JointError, Term, effect_class
+from calflow.effects.cause import Cause
+from calflow.effects.smooth_curve import Travel
 from calflow.effects.warming import Warming
 from calflow.estimation.error_model import ErrorModel, SmoothVariances, usual_sizes
 from calflow.estimation.fit import Fit

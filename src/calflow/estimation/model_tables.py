@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from calflow.effects import Effect, effect_class
-from calflow.effects.base import Cause
+from calflow.effects.cause import Cause
 from calflow.estimation.calibrated_model import Alternative, CalibratedModel, SeriesNoise
 from calflow.estimation.certainty import Certainty
 from calflow.estimation.error_model import ErrorModel, error_table, read_errors

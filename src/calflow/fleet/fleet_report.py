@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 
-from calflow.effects.base import amount, cause_name
+from calflow.effects.wording import amount, cause_name
 from calflow.files.problems import InputError
 from calflow.files.tables import Results, to_frame
 from calflow.files.units import METRE

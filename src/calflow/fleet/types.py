@@ -13,7 +13,7 @@ import numpy as np
 
 from calflow.design.candidates import candidates
 from calflow.diagnosis.findings import Finding
-from calflow.effects.base import amount, cause_name
+from calflow.effects.wording import amount, cause_name
 from calflow.estimation.parameters import UNIT, FittedParameter
 from calflow.files.problems import refuse
 from calflow.files.tables import column, from_frame, read_csv, to_frame

@@ -23,7 +23,8 @@ from calflow.design.discrimination import ENOUGH, MOST_NEXT_POSES, NextPose
 from calflow.design.isolability import isolability_gaps
 from calflow.diagnosis.candidates import CandidateRow
 from calflow.diagnosis.findings import RESTS
-from calflow.effects.base import ASKED, NEEDS, UNEXPLAINED, Need, ShownBy, cause_name, place_name, place_names
+from calflow.effects.base import ASKED, NEEDS, Need, ShownBy
+from calflow.effects.wording import UNEXPLAINED, cause_name, place_name, place_names
 from calflow.estimation.certainty import PROMISED
 from calflow.estimation.identifiability import Statement
 from calflow.estimation.noise import MIN_REPEATS

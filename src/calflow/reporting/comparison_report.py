@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from calflow.deployment.comparison import Comparison, RunAccuracy, RunPair
-from calflow.effects.base import cause_name
+from calflow.effects.wording import cause_name
 from calflow.files.words import listed, mm, plural, quantity
 from calflow.reporting.blocks import SPLITS, Gap, Paragraph, Part, Table, headed
 from calflow.reporting.sections.verdict import step_name

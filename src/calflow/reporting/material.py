@@ -12,7 +12,7 @@ import numpy as np
 
 from calflow.deployment.figures_alone import FiguresAlone, Levels
 from calflow.deployment.run_outcome import RunOutcome
-from calflow.effects.base import Cause
+from calflow.effects.cause import Cause
 from calflow.effects.geometry import Geometry
 from calflow.estimation.accuracy import errors
 from calflow.estimation.calibrated_model import CalibratedModel, with_maps_held

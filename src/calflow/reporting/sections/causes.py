@@ -15,7 +15,7 @@ from calflow.diagnosis import FALSE_ALARM
 from calflow.diagnosis.candidates import CandidateRow
 from calflow.diagnosis.findings import Finding
 from calflow.diagnosis.stepwise import SHARES
-from calflow.effects.base import (
+from calflow.effects.wording import (
     UNEXPLAINED,
     as_stiffness,
     cause_family,

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from scipy.ndimage import gaussian_filter
 
 from calflow.deployment.run_outcome import RunOutcome
-from calflow.effects.base import cause_name
+from calflow.effects.wording import cause_name
 from calflow.files.deferred import pd
 from calflow.files.words import cut, listed, readable, rounded, with_sd
 from calflow.reporting.advice import ENSEMBLES_AGREE, lengthen

@@ -12,7 +12,7 @@ from calflow.deployment.in_space import over_ranges
 from calflow.deployment.run_outcome import RunOutcome
 from calflow.deployment.usability import Advice, judgement, labels, least_effort, mistake_unsettled, no_gain_words
 from calflow.diagnosis.findings import Finding
-from calflow.effects.base import UNEXPLAINED, cause_family, place_name
+from calflow.effects.wording import UNEXPLAINED, cause_family, place_name
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.certainty import PROMISED, Certainty
 from calflow.estimation.identifiability import Statement
