@@ -361,7 +361,7 @@ class Regressors(Generic[H]):
             added_up=self.products.without(columns, value),
         )
 
-    def only(self, candidates: Sequence[Candidate[H]]) -> Regressors[H]:
+    def only(self, candidates: Iterable[Candidate[H]]) -> Regressors[H]:
         """Return a copy with a subset of the candidates."""
         return replace(self, candidates=tuple(candidates), added_up=self.products)
 

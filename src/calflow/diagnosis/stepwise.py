@@ -30,7 +30,7 @@ import numpy as np
 
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import H, Place, Regressors
-from calflow.diagnosis.screening import INVISIBLE, Catalogue, Family, Score, Screening, by_place, f_test
+from calflow.diagnosis.screening import Catalogue, Family, Score, Screening, by_place
 from calflow.effects.cause import Cause
 from calflow.estimation.variance_components import LOG_PRIOR, SIZES, directions, explained, log_likelihood, mixed
 
@@ -128,21 +128,19 @@ class Linearisation(Generic[H]):
         """Tests of all candidates that the model lacks, beside its causes."""
         return self.tested_with(self.causes)
 
-    def tested_with(self, causes: Sequence[H]) -> Screening[H]:
-        """Return the tests of all other candidates beside the given causes, linear, without a refit."""
-        gone = [cause for cause in self.causes if cause not in causes]
-        regressors = self.regressors
-        if gone:
+    def tested_with(self, causes: Sequence[H], place: Place | None = None) -> Screening[H]:
+        """Return the tests of all other candidates, or those of one place, beside the given causes, linear, without a refit."""
+        every, places = self.regressors.candidates, {cause.place for cause in causes}
+        regressors = self.regressors.only(
+            c for c in every
+            if place in (None, c.cause.place) and not (c.cause.place in places and any(map(c.cause.same_form, causes)))
+        )  # fmt: skip
+        if gone := [cause for cause in self.causes if cause not in causes]:
             columns = np.sort(np.concatenate([self.columns[self.causes.index(cause)] for cause in gone]))
             regressors = regressors.without(columns, self.value[columns])
-        come = [c.columns for c in regressors.candidates if c.cause in causes and c.cause not in self.causes]
-        if come:
+        if come := [c.columns for c in every if c.cause in causes and c.cause not in self.causes]:
             regressors = regressors.taking(np.concatenate(come))
-        places = {cause.place for cause in causes}
-        others = (
-            c for c in regressors.candidates if c.cause.place not in places or not any(map(c.cause.same_form, causes))
-        )
-        return Screening(regressors.only(tuple(others)))
+        return Screening(regressors)
 
     def apart(self, gone: Sequence[H]) -> Screening[H]:
         """Return the tests of all candidates with some causes removed, beside the others."""
@@ -166,9 +164,7 @@ class Linearisation(Generic[H]):
 
     def forms(self, causes: Sequence[H], place: Place) -> list[Score[H]]:
         """Return the scores of all forms of a place beside the given causes, best first."""
-        beside = self.tested_with(causes).regressors
-        there = [candidate for candidate in beside.candidates if candidate.cause.place == place]
-        return Screening(beside.only(there)).scores
+        return self.tested_with(causes, place).scores
 
     def _cost(self, gone: Sequence[H], cause: H) -> float:
         """Return the cost of a cause with others removed; zero where it is not testable."""
@@ -301,16 +297,6 @@ def merged(trial: Trial[H]) -> Iterator[list[H]]:
 
 
 @dataclass(frozen=True)
-class Pair(Generic[H]):
-    """Two candidates together; p is the larger of their family-wise p-values, each beside the other."""
-
-    first: Score[H]
-    second: Score[H]
-    cost: float
-    p: float
-
-
-@dataclass(frozen=True)
 class Exchange(Generic[H]):
     """All pairs of candidates of few parameters in the place of one or two causes.
 
@@ -355,8 +341,8 @@ class Exchange(Generic[H]):
         at = self._removed
         return self.scores[0] if len(at) == 2 and self.scores[0].cost < self._costs[at[0], at[1]] else None
 
-    def better(self) -> Iterator[Pair[H]]:
-        """Yield the pairs of different places that explain the data better than the removed causes, best first."""
+    def better(self) -> Iterator[tuple[float, H, H]]:
+        """Yield the cost and the causes of pairs at different places that are better than the removed causes, best first."""
         at = self._removed
         if len(at) < len(self.gone):
             return  # a removed cause is not testable here
@@ -368,7 +354,7 @@ class Exchange(Generic[H]):
             i, j = (int(x) for x in np.unravel_index(k, cost.shape))
             if not cost[i, j] < limit:
                 return
-            yield Pair(self.scores[i], self.scores[j], float(cost[i, j]), max(self._p(i, j), self._p(j, i)))
+            yield float(cost[i, j]), self.scores[i].cause, self.scores[j].cause
 
     @property
     def _removed(self) -> list[int]:
@@ -412,20 +398,6 @@ class Exchange(Generic[H]):
         logs = log_likelihood(fallen / self.screening.chi2, narrowed, self.screening.degrees_of_freedom)
         best = np.argmax(logs + LOG_PRIOR[:, None], axis=0)
         return SIZES[best], -2 * (mixed(logs) - logs[best, at])
-
-    def _p(self, i: int, j: int) -> float:
-        """Return the family-wise p-value of candidate j beside candidate i."""
-        identity = np.eye(FEW_COLUMNS)
-        taken = self.information[j, i] @ np.linalg.inv(self.information[i, i] + identity)
-        values, vectors = np.linalg.eigh(self.information[j, j] - taken @ self.information[i, j])
-        shown = values > INVISIBLE
-        if not shown.any():
-            return 1.0
-        left = self.score[j] - taken @ self.score[i]
-        drop = (((vectors.T @ left)[shown]) ** 2 / values[shown]).sum(keepdims=True)
-        chi2 = self.screening.chi2 - self.scores[i].drop
-        (single,) = f_test(drop, chi2, shown.sum(keepdims=True), self.screening.degrees_of_freedom)
-        return self.family.p(replace(self.scores[j], p=float(single)))
 
 
 def doubtful(finding: Detection[H]) -> list[Score[H]]:
@@ -581,9 +553,18 @@ class Stepwise:
             stay = [cause for cause in trial.causes if cause not in gone]
             if (single := exchange.alone()) and self.acceptance.accepts(single, trial.first.family):
                 yield _replaced(trial, [*stay, single.cause])
-            pairs = exchange.better() if len(stay) + 2 <= self.acceptance.most else ()
-            if pair := next((pair for pair in pairs if pair.p < self.acceptance.false_alarm), None):
-                yield _replaced(trial, [*stay, pair.first.cause, pair.second.cause])
+            pairs = ([*stay, *pair] for _, *pair in exchange.better() if len(stay) + 2 <= self.acceptance.most)
+            if better := next((causes for causes in pairs if self._significant(trial, causes)), None):
+                yield _replaced(trial, better)
+
+    def _significant(self, trial: Trial[H], causes: list[H]) -> bool:
+        """Whether each of the last two causes, which are new, is significant beside the others."""
+        for k in (-2, -1):
+            beside = [cause for cause in causes if cause != causes[k]]
+            own = (score for score in trial.linearisation.forms(beside, causes[k].place) if score.cause == causes[k])
+            if not any(trial.first.family.p(score) < self.acceptance.false_alarm for score in own):
+                return False
+        return True
 
     def _steps(self, trial: Trial[H]) -> Iterator[Proposal[H]]:
         yield from (_replaced(trial, causes) for causes in trial.refined())
