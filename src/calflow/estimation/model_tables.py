@@ -372,7 +372,7 @@ def _read(stage: str, robot: Robot, results: Results, given: tuple[str, ...]) ->
             raise refuse(f"{stage}/{name}.csv does not fit the study's robot and effects; run {stage} again")
     needed = results.rows(f"{stage}/needed_conditions.csv", NeededCondition)
     time_origin = results.document("identify/summary.json", IdentifySummary).time_origin_s
-    payloads = results.document(f"{stage}/certainty.json", Certainty).payloads
+    payloads = results.document("identify/certainty.json", Certainty).payloads
     return CalibratedModel(
         model,
         np.array([parameter.estimate for parameter in parameters]),
