@@ -15,10 +15,11 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 import numpy as np
 from scipy.stats import chi2, norm
 
-from calflow.diagnosis.candidates import noncentrality
+from calflow.diagnosis.cause_tables import noncentrality
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import Catalogue, Score, Screening, f_threshold
-from calflow.diagnosis.stepwise import SHARES, Detection, Linearisation, Screened
+from calflow.diagnosis.stepwise import SHARES
+from calflow.diagnosis.trial import Detection, Linearisation, Screened
 from calflow.diagnosis.verdict import verdict
 from calflow.estimation.model_tables import identified
 from calflow.estimation.noise import averaged

@@ -12,7 +12,7 @@ from blind_cases import begun
 from calflow.diagnosis.extension import FittedTrial
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import Family, Screening
-from calflow.diagnosis.stepwise import Screened
+from calflow.diagnosis.trial import Screened
 from calflow.estimation.accuracy import errors
 from calflow.estimation.model_tables import calibrated, identified
 from calflow.files.tables import Results

@@ -29,7 +29,8 @@ from calflow.diagnosis import FALSE_ALARM
 from calflow.diagnosis.extension import Extended, extend
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import Catalogue
-from calflow.diagnosis.stepwise import SHARES, CauseAcceptance, Linearisation
+from calflow.diagnosis.stepwise import SHARES, CauseAcceptance
+from calflow.diagnosis.trial import Linearisation
 from calflow.diagnosis.verdict import ModelInReach, models_in_reach, probabilities, rivals_shown
 from calflow.effects.cause import Cause
 from calflow.effects.link_torsion import LinkTorsion

@@ -16,7 +16,8 @@ from scipy.stats import binom
 
 from calflow.diagnosis.extension import extend
 from calflow.diagnosis.screening import Catalogue
-from calflow.diagnosis.stepwise import CauseAcceptance, Linearisation
+from calflow.diagnosis.stepwise import CauseAcceptance
+from calflow.diagnosis.trial import Linearisation
 from calflow.files.problems import InputError
 from calflow.linear import Block, LinearProblem, diagnose_linear
 from diagnosis.found import cause, hidden, start

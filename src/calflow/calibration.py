@@ -41,15 +41,22 @@ from calflow.design.planned import (
 )
 from calflow.design.selection import Selection, select
 from calflow.diagnosis import FALSE_ALARM
-from calflow.diagnosis.candidates import CandidateRow, candidates_table
-from calflow.diagnosis.cause_curves import CurvePoint, curves
+from calflow.diagnosis.cause_tables import (
+    CandidateRow,
+    CauseProbability,
+    CurvePoint,
+    ModelRow,
+    candidates_table,
+    cause_table,
+    curves,
+    models_table,
+)
 from calflow.diagnosis.diagnosis import Diagnosis, accuracy_table, diagnosis_summary, extended_model, search_causes
 from calflow.diagnosis.findings import Finding
 from calflow.diagnosis.findings import findings as diagnosed_findings
 from calflow.diagnosis.fitted import HUBER, Fitted
 from calflow.diagnosis.replication import CarriedAccuracy, ConfirmedCause, ConfirmedPoint
 from calflow.diagnosis.replication import confirm as confirmed
-from calflow.diagnosis.verdict import CauseProbability, ModelRow, cause_table, models_table
 from calflow.effects import Effect, effect_ids, effects_by_id, effects_given
 from calflow.effects.base import unmet, unusable
 from calflow.estimation.accuracy import Accuracy

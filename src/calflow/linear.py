@@ -19,16 +19,8 @@ from calflow.diagnosis import FALSE_ALARM
 from calflow.diagnosis.regressors import Candidate, Regressors, TallMatrix
 from calflow.diagnosis.screening import Family, Score
 from calflow.diagnosis.serial_errors import LikelyErrors, RestrictedLikelihood, RowOrder
-from calflow.diagnosis.stepwise import (
-    SPLIT,
-    CauseAcceptance,
-    Detection,
-    Linearisation,
-    Screened,
-    Stepwise,
-    Trial,
-    verified,
-)
+from calflow.diagnosis.stepwise import SPLIT, CauseAcceptance, Stepwise, verified
+from calflow.diagnosis.trial import Detection, Linearisation, Screened, Trial
 from calflow.diagnosis.verdict import verdict
 from calflow.estimation.progress import nobody
 from calflow.estimation.variance_components import Amplitudes, refitted_cost

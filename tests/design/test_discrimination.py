@@ -13,7 +13,8 @@ from calflow.design.planned import Planned
 from calflow.design.t_optimality import TCriterion, propose
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import Catalogue
-from calflow.diagnosis.stepwise import WITHIN, Linearisation
+from calflow.diagnosis.stepwise import WITHIN
+from calflow.diagnosis.trial import Linearisation
 from calflow.effects import catalogue
 from calflow.effects.cause import Cause
 from calflow.estimation.fit import fit_reweighted

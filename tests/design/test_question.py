@@ -14,7 +14,7 @@ from calflow.design.candidates import packed_conditions
 from calflow.design.discrimination import LEAST_EXTENT, NextPose, poses_table, question, separations_table
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import Family
-from calflow.diagnosis.stepwise import Detection
+from calflow.diagnosis.trial import Detection
 from calflow.diagnosis.verdict import Rival, Verdict
 from calflow.effects import catalogue
 from calflow.effects.cause import Cause

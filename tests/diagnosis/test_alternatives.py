@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calflow.diagnosis.screening import Family
-from calflow.diagnosis.stepwise import Detection
+from calflow.diagnosis.trial import Detection
 from calflow.diagnosis.verdict import MOST_FITTED, ModelInReach, Rival, fitted_alternatives, verdict
 from calflow.effects.cause import Cause
 from calflow.effects.wording import UNEXPLAINED

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calflow.diagnosis.screening import Catalogue
-from calflow.diagnosis.stepwise import Linearisation
+from calflow.diagnosis.trial import Linearisation
 from calflow.diagnosis.verdict import amplitude, found_amplitude, same_quantities
 from diagnosis.found import cause, hidden, start
 

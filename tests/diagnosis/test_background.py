@@ -10,7 +10,7 @@ import pytest
 from calflow.diagnosis.background import BackgroundBasis, Sizes, background, beside_background
 from calflow.diagnosis.extension import unnamed
 from calflow.diagnosis.screening import Catalogue
-from calflow.diagnosis.stepwise import Linearisation
+from calflow.diagnosis.trial import Linearisation
 from calflow.diagnosis.unexplained import _together
 from calflow.diagnosis.verdict import TEMPERED, WITHIN
 from calflow.effects import catalogue

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 
 import robots
 from calflow.design.candidates import packed_conditions
-from calflow.diagnosis.cause_curves import CurvePoint, curves
+from calflow.diagnosis.cause_tables import CurvePoint, curves
 from calflow.diagnosis.fitted import Fitted
 from calflow.effects import catalogue
 from calflow.effects.cause import Cause

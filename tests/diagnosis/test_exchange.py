@@ -7,7 +7,8 @@ import pytest
 
 from calflow.diagnosis.regressors import Candidate, Regressors, TallMatrix
 from calflow.diagnosis.screening import Family, Screening
-from calflow.diagnosis.stepwise import CauseAcceptance, Exchange, Screened, Stepwise
+from calflow.diagnosis.stepwise import CauseAcceptance, Exchange, Stepwise
+from calflow.diagnosis.trial import Screened
 from calflow.effects import catalogue
 from calflow.effects.cause import Cause
 from calflow.estimation.progress import nobody

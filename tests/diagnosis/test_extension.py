@@ -12,7 +12,8 @@ from calflow.diagnosis import fitted as fitted_module
 from calflow.diagnosis.background import BackgroundBasis
 from calflow.diagnosis.extension import FittedTrial, extend, weighed, weighed_against
 from calflow.diagnosis.screening import Catalogue
-from calflow.diagnosis.stepwise import CauseAcceptance, Linearisation, Stepwise, second_thoughts
+from calflow.diagnosis.stepwise import CauseAcceptance, Stepwise, second_thoughts
+from calflow.diagnosis.trial import Linearisation
 from calflow.estimation.fit import fit_reweighted
 from calflow.estimation.noise import Noise
 from calflow.estimation.progress import nobody

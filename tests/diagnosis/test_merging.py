@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from calflow.diagnosis.screening import Family
-from calflow.diagnosis.stepwise import CauseAcceptance, Screened, Stepwise, kindred, merged
+from calflow.diagnosis.stepwise import CauseAcceptance, Stepwise, kindred, merged
+from calflow.diagnosis.trial import Screened
 from calflow.linear import Block, LinearProblem, LinearTrial
 
 N = 150

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calflow.diagnosis.verdict import ModelInReach, cause_table, models_table, probabilities
+from calflow.diagnosis.cause_tables import cause_table, models_table
+from calflow.diagnosis.verdict import ModelInReach, probabilities
 from calflow.effects import catalogue
 from calflow.effects.cause import Cause
 from robots import robot

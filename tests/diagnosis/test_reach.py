@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calflow.diagnosis.screening import Catalogue, Family, by_place
-from calflow.diagnosis.stepwise import Linearisation
+from calflow.diagnosis.trial import Linearisation
 from calflow.diagnosis.verdict import models_in_reach, rivals_shown, verdict
 from calflow.effects import catalogue
 from diagnosis.found import cause, hidden, start

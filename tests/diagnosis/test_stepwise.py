@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from calflow.diagnosis.screening import Family
-from calflow.diagnosis.stepwise import FEW_COLUMNS, MOST_TRIALS, PATIENCE, CauseAcceptance, Screened, Stepwise, Trial
+from calflow.diagnosis.stepwise import FEW_COLUMNS, MOST_TRIALS, PATIENCE, CauseAcceptance, Stepwise
+from calflow.diagnosis.trial import Screened, Trial
 from calflow.linear import Block
 
 FAMILY = Family({}, 1.0)

@@ -13,7 +13,7 @@ from calflow.diagnosis.extension import Extended
 from calflow.diagnosis.findings import Finding, _kept_together, _overlapping, _together, findings
 from calflow.diagnosis.misfit import misfit
 from calflow.diagnosis.screening import Catalogue
-from calflow.diagnosis.stepwise import Linearisation
+from calflow.diagnosis.trial import Linearisation
 from calflow.diagnosis.unexplained import UnexplainedStructure
 from calflow.diagnosis.verdict import DeployedCauses
 from calflow.effects.wording import NamedCause

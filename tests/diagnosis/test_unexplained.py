@@ -10,7 +10,7 @@ import pytest
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.noise_growth import growth_of_residuals
 from calflow.diagnosis.screening import Catalogue, by_place
-from calflow.diagnosis.stepwise import Linearisation
+from calflow.diagnosis.trial import Linearisation
 from calflow.diagnosis.unexplained import SUSPECTED, UnexplainedStructure, suspected, unexplained
 from calflow.effects import catalogue
 from calflow.estimation.fit import fit_reweighted

@@ -10,7 +10,8 @@ import pytest
 from calflow.diagnosis.findings import _detail
 from calflow.diagnosis.regressors import Candidate
 from calflow.diagnosis.screening import Family, Score, by_place
-from calflow.diagnosis.stepwise import WITHIN, Detection
+from calflow.diagnosis.stepwise import WITHIN
+from calflow.diagnosis.trial import Detection
 from calflow.diagnosis.verdict import verdict
 from calflow.effects import catalogue
 from calflow.effects.cause import Cause

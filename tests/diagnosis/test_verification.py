@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from calflow.diagnosis.screening import Family, by_place
-from calflow.diagnosis.stepwise import Detection, Screened, corrected_rivals, doubted, doubtful, verified
+from calflow.diagnosis.stepwise import corrected_rivals, doubted, doubtful, verified
+from calflow.diagnosis.trial import Detection, Screened
 from calflow.diagnosis.verdict import verdict
 from diagnosis.test_verdict import score
 

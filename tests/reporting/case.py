@@ -14,12 +14,10 @@ from calflow.deployment.figures_alone import Levels
 from calflow.deployment.run_outcome import RunOutcome
 from calflow.design.candidates import candidates
 from calflow.design.discrimination import NextPose, SeparationRow
-from calflow.diagnosis.candidates import CandidateRow
-from calflow.diagnosis.cause_curves import CurvePoint
+from calflow.diagnosis.cause_tables import ONLY, CandidateRow, CauseProbability, CurvePoint, ModelRow
 from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.findings import Finding
 from calflow.diagnosis.misfit import MisfitRegion
-from calflow.diagnosis.verdict import ONLY, CauseProbability, ModelRow
 from calflow.effects import catalogue
 from calflow.effects.cause import Cause
 from calflow.effects.wording import NamedCause

@@ -19,7 +19,7 @@ from calflow.deployment.run_outcome import RunOutcome
 from calflow.deployment.usability import Advice, Rule, judgement
 from calflow.design.discrimination import NextPose, SeparationRow
 from calflow.design.isolability import IsolabilityCell
-from calflow.diagnosis.candidates import CandidateRow
+from calflow.diagnosis.cause_tables import CandidateRow
 from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.findings import Finding
 from calflow.effects.base import ASKED, NEEDS

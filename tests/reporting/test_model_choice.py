@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from calflow.deployment.run_outcome import RunOutcome
-from calflow.diagnosis.verdict import CauseProbability, ModelRow
+from calflow.diagnosis.cause_tables import CauseProbability, ModelRow
 from calflow.files.tables import Results, to_frame
 from calflow.reporting.blocks import Table
 from calflow.reporting.sections.model_choice import MODEL_CHOICE_SECTION

@@ -13,7 +13,7 @@ from calflow.diagnosis.diagnosis import Diagnosis, diagnosis_summary
 from calflow.diagnosis.extension import Extended
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import Catalogue
-from calflow.diagnosis.stepwise import Linearisation
+from calflow.diagnosis.trial import Linearisation
 from calflow.diagnosis.verdict import DeployedCauses
 from calflow.estimation.fit import fit_reweighted
 from diagnosis.test_replication import series

@@ -9,11 +9,9 @@ from typing import Literal, TypeVar
 from calflow.deployment.figures_alone import LEVELS, EffortLevel
 from calflow.deployment.in_space import IN_SPACE, SpaceError
 from calflow.design.discrimination import NextPose, SeparationRow
-from calflow.diagnosis.candidates import CandidateRow
-from calflow.diagnosis.cause_curves import CurvePoint
+from calflow.diagnosis.cause_tables import CandidateRow, CauseProbability, CurvePoint, ModelRow
 from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.findings import Finding
-from calflow.diagnosis.verdict import CauseProbability, ModelRow
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.certainty import Certainty
 from calflow.estimation.identifiability import Correlation, Counted, Redundant, Statement

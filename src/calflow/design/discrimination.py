@@ -16,7 +16,7 @@ from calflow.design.t_optimality import Pair, TCriterion, closest, propose
 from calflow.diagnosis.diagnosis import Diagnosis
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import Score
-from calflow.diagnosis.stepwise import Detection
+from calflow.diagnosis.trial import Detection
 from calflow.diagnosis.verdict import Rival, Verdict, named
 from calflow.effects import effect_class
 from calflow.effects.base import ASKED

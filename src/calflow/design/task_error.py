@@ -19,7 +19,7 @@ from calflow.design.discrimination import rows_like
 from calflow.design.planned import Measure, Planned, Task
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import Catalogue, by_place, place_probabilities
-from calflow.diagnosis.stepwise import Linearisation
+from calflow.diagnosis.trial import Linearisation
 from calflow.diagnosis.verdict import named
 from calflow.effects import Effect
 from calflow.effects.cause import Cause

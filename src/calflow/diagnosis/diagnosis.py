@@ -19,7 +19,8 @@ from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.misfit import Misfit, MisfitRegion, misfit
 from calflow.diagnosis.noise_growth import Growth, growth_of_repeats, growth_of_residuals
 from calflow.diagnosis.screening import Catalogue
-from calflow.diagnosis.stepwise import SHARES, CauseAcceptance, Linearisation, Stepwise, words
+from calflow.diagnosis.stepwise import SHARES, CauseAcceptance, Stepwise, words
+from calflow.diagnosis.trial import Linearisation
 from calflow.diagnosis.unexplained import Standstills, UnexplainedStructure, suspected, unexplained
 from calflow.diagnosis.verdict import (
     DeployedCauses,

@@ -27,21 +27,8 @@ from calflow.diagnosis.background import JOINTS, BackgroundBasis, Sizes, backgro
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import Place, Regressors
 from calflow.diagnosis.screening import Catalogue, Score, Screening
-from calflow.diagnosis.stepwise import (
-    FINER_STEPS,
-    REACH,
-    SPLIT,
-    CauseAcceptance,
-    Detection,
-    Linearisation,
-    Screened,
-    Stepwise,
-    Trial,
-    is_new,
-    second_thoughts,
-    verified,
-    words,
-)
+from calflow.diagnosis.stepwise import REACH, SPLIT, CauseAcceptance, Stepwise, second_thoughts, verified, words
+from calflow.diagnosis.trial import FINER_STEPS, Detection, Linearisation, Screened, Trial, is_new
 from calflow.effects.cause import Cause
 from calflow.estimation.fit import Fit
 from calflow.estimation.leverage import halved

@@ -1,7 +1,5 @@
 """Stepwise model search: causes are added to a model while one is accepted, then dropped, replaced, merged or exchanged.
 
-A trial is a fitted model; its linearisation scores every candidate beside its causes, or in the place of one.
-
 Merging: several causes of one family at one joint are replaced by a single one that contains them. Orders found one after another
 on a joint are often one curve, successive steps one drift. No replacement of one cause leads there, since the others already
 explain their parts.
@@ -18,20 +16,18 @@ before. A step that proves worse is undone, so that at most one of each kind fai
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain, combinations
-from typing import Any, Generic, Self
+from typing import Any, Generic
 
 import numpy as np
 
-from calflow.diagnosis.fitted import Fitted
-from calflow.diagnosis.regressors import H, Place, Regressors
-from calflow.diagnosis.screening import Catalogue, Family, Score, Screening, by_place
-from calflow.effects.cause import Cause
+from calflow.diagnosis.regressors import H, Place
+from calflow.diagnosis.screening import Family, Score, Screening, by_place
+from calflow.diagnosis.trial import Detection, Trial, is_new
 from calflow.estimation.variance_components import LOG_PRIOR, SIZES, directions, explained, log_likelihood, mixed
 
 WITHIN = 10.0  # cost: closer rivals are not distinguished (Kass and Raftery 1995: "very strong" beyond)
@@ -47,182 +43,7 @@ WORTH = WITHIN  # cost: smaller doubts do not decide anything
 CLEAR = 1e-3  # share of the false-alarm rate below which the correction for tests need not be recomputed
 STEP_SHARE = 0.2  # progress of a step as a share of the remaining search, whose length is unknown
 MOST_TRIALS = 60  # models that are fitted in all: a search that needs more is cyclic
-FINER_STEPS = 4  # refinements at most, of one inner unknown each, of a rival before it is fitted
 ENTANGLED = 3  # causes, the last found, that are exchanged in pairs
-
-
-@dataclass(frozen=True)
-class Detection(Generic[H]):
-    """A cause in the extended model, with the scores of all candidates in its place, beside the other causes.
-
-    unnamed: cost of an unnamed error in its place, above its own; carries_over: whether it gains at left-out blocks of training
-    poses, None where that was not tested.
-    """
-
-    cause: H
-    scores: tuple[Score[H], ...]
-    family: Family
-    unnamed: float = np.inf
-    carries_over: bool | None = None
-
-    @property
-    def own(self) -> Score[H]:
-        """The cause's own score."""
-        return next(score for score in self.scores if score.cause == self.cause)
-
-    @cached_property
-    def places(self) -> dict[Place, tuple[float, Score[H]]]:
-        """Cost and best score of each place (see `by_place`)."""
-        return by_place(self.scores)
-
-    @property
-    def cost(self) -> float:
-        """Cost of the cause's place."""
-        return self.places[self.cause.place][0]
-
-    @property
-    def p(self) -> float:
-        """Family-wise p-value of the cause."""
-        return self.family.p(self.own)
-
-
-@dataclass(frozen=True)
-class Screened(Generic[H]):
-    """Scores of all testable candidates against one model, best first, and the correction for their number.
-
-    degrees_of_freedom are the model's residual ones.
-    """
-
-    scores: tuple[Score[H], ...]
-    family: Family
-    degrees_of_freedom: float
-
-
-@dataclass(frozen=True)
-class Linearisation(Generic[H]):
-    """A model with causes, linearised, with the regressors of all candidates from one Jacobian.
-
-    value (n_free,) are the free parameters' estimates; columns are, for each cause, the indices of its own.
-    """
-
-    causes: tuple[H, ...]
-    regressors: Regressors[H]
-    value: np.ndarray
-    columns: tuple[np.ndarray, ...]
-
-    @staticmethod
-    def at(fitted: Fitted, catalogue: Catalogue) -> Linearisation[Cause]:
-        """Return a fitted model linearised; its causes are among the candidates, for tests without them."""
-        added = (cause for cause in fitted.causes if cause.effect not in catalogue.effects)
-        regressors = fitted.regressors((*catalogue.effects, *added))
-        columns = tuple(fitted.own(cause)[0] for cause in fitted.causes)
-        return Linearisation(fitted.causes, regressors, fitted.fit.estimate[~fitted.fit.at_bound], columns)
-
-    def screened(self, rng: np.random.Generator, family: Family | None = None) -> Screened[H]:
-        """Return the tests of all causes that the model lacks; family is the correction for their number, if it is known."""
-        screening = self.beside
-        return Screened(tuple(screening.scores), family or screening.family(rng), screening.degrees_of_freedom)
-
-    @property
-    def beside(self) -> Screening[H]:
-        """Tests of all candidates that the model lacks, beside its causes."""
-        return self.tested_with(self.causes)
-
-    def tested_with(self, causes: Sequence[H], place: Place | None = None) -> Screening[H]:
-        """Return the tests of all other candidates, or those of one place, beside the given causes, linear, without a refit."""
-        every, places = self.regressors.candidates, {cause.place for cause in causes}
-        regressors = self.regressors.only(
-            c for c in every
-            if place in (None, c.cause.place) and not (c.cause.place in places and any(map(c.cause.same_form, causes)))
-        )  # fmt: skip
-        if gone := [cause for cause in self.causes if cause not in causes]:
-            columns = np.sort(np.concatenate([self.columns[self.causes.index(cause)] for cause in gone]))
-            regressors = regressors.without(columns, self.value[columns])
-        if come := [c.columns for c in every if c.cause in causes and c.cause not in self.causes]:
-            regressors = regressors.taking(np.concatenate(come))
-        return Screening(regressors)
-
-    def apart(self, gone: Sequence[H]) -> Screening[H]:
-        """Return the tests of all candidates with some causes removed, beside the others."""
-        return self.tested_with([cause for cause in self.causes if cause not in gone])
-
-    def rise(self, gone: Sequence[H]) -> float:
-        """Return the increase of the cost without some causes, removed one after another."""
-        return -sum(self._cost(gone[: k + 1], cause) for k, cause in enumerate(gone))
-
-    def expected(self, causes: Sequence[H]) -> float:
-        """Return the increase of the cost with other causes instead; linear, without a refit.
-
-        New causes are scored singly, so there should be one at most. A form that is no candidate counts as the best of its place.
-        """
-        gone = [cause for cause in self.causes if cause not in causes]
-        return self.rise(gone) + sum(self._cost(gone, cause) for cause in causes if cause not in self.causes)
-
-    def findings(self, family: Family) -> list[Detection[H]]:
-        """Return the causes with the scores of all candidates in each one's place."""
-        return [Detection(cause, tuple(self.apart([cause]).scores), family) for cause in self.causes]
-
-    def forms(self, causes: Sequence[H], place: Place) -> list[Score[H]]:
-        """Return the scores of all forms of a place beside the given causes, best first."""
-        return self.tested_with(causes, place).scores
-
-    def _cost(self, gone: Sequence[H], cause: H) -> float:
-        """Return the cost of a cause with others removed; zero where it is not testable."""
-        scores = self.forms([other for other in self.causes if other not in gone], cause.place)
-        own = [score.cost for score in scores if score.cause == cause]
-        return min(own or (score.cost for score in scores), default=0.0)
-
-
-@dataclass(frozen=True)
-class Trial(ABC, Generic[H]):
-    """A fitted model of the search.
-
-    first: screening of the model without causes; missed: difference of its cost from that predicted by the linearised model before.
-    """
-
-    first: Screened[H]
-    missed: float = field(default=0.0, kw_only=True)
-
-    @property
-    @abstractmethod
-    def causes(self) -> tuple[H, ...]:
-        """Its causes."""
-
-    @property
-    @abstractmethod
-    def cost(self) -> float:
-        """Minus twice the log evidence, comparable between trials (see `refitted_cost`)."""
-
-    @cached_property
-    @abstractmethod
-    def linearisation(self) -> Linearisation[H]:
-        """The linearised model."""
-
-    @abstractmethod
-    def with_causes(self, causes: Sequence[H], added: Score[H] | None = None) -> Self:
-        """Return the model fitted with these causes instead; added is the score of the last one, if it is new."""
-
-    def finest(self, cause: H, beside: Sequence[H], steps: int = 1) -> Score[H] | None:
-        """Return the score of a cause's best form beside others, refined step by step; None: the given form."""
-        return None
-
-    def in_place(self, gone: Sequence[H], cause: H) -> H:
-        """Return the best form of a cause in the place of others, by which a rival is judged."""
-        finest = self.finest(cause, [other for other in self.causes if other not in gone], FINER_STEPS)
-        return finest.cause if finest else cause
-
-    def weighed_in_place(self, finding: Detection[H]) -> Detection[H]:
-        """Return a finding with its near rivals scored at zero amplitude of the cause, where they may have no effect."""
-        return finding
-
-    def refined(self) -> Iterator[list[H]]:
-        """Yield the causes in forms that are clearly better beside the other causes of the model."""
-        yield from ()
-
-    @cached_property
-    def findings(self) -> tuple[Detection[H], ...]:
-        """Its causes, each with the scores of all candidates in its place."""
-        return tuple(self.linearisation.findings(self.first.family)) if self.causes else ()
 
 
 def forget_all_but(best: Trial, tried: Sequence[Trial]) -> None:
@@ -230,11 +51,6 @@ def forget_all_but(best: Trial, tried: Sequence[Trial]) -> None:
     for trial in tried:
         if trial is not best:
             vars(trial).pop("linearisation", None)
-
-
-def is_new(causes: Sequence[Any], tried: Sequence[Trial]) -> bool:
-    """Whether no trial had these causes."""
-    return all(set(causes) != set(trial.causes) for trial in tried)
 
 
 def is_worth_trying(causes: Sequence[Any], tried: Sequence[Trial]) -> bool:

@@ -25,13 +25,12 @@ from calflow.diagnosis.extension import Extended
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import H, Hypothesis, Place
 from calflow.diagnosis.screening import Catalogue, Score
-from calflow.diagnosis.stepwise import REACH, WITHIN, Detection
+from calflow.diagnosis.stepwise import REACH, WITHIN
+from calflow.diagnosis.trial import Detection
 from calflow.effects.cause import Cause
 from calflow.effects.wording import UNEXPLAINED, NamedCause
 from calflow.estimation.calibrated_model import MANY, Alternative
 from calflow.estimation.leverage import UNSURE
-from calflow.files.deferred import pd
-from calflow.files.tables import column, to_frame
 
 # Exponent of the evidence for an unnamed error, whose form is itself a guess (tempered likelihood, Grünwald and van Ommen 2017).
 TEMPERED = 0.5
@@ -42,7 +41,6 @@ NEGLIGIBLE = 0.02  # probability below which a rival does not affect intervals
 MOST_FITTED = 4  # rivals that are fitted, the likeliest
 MOST_IN_REACH = 24  # models, the likeliest
 SIZE = "its size; of an angle error curve its root mean square over the measured travel, between readings included"
-ONLY = "-"  # stands for the form of a cause that has a single one
 
 
 @dataclass(frozen=True)
@@ -286,66 +284,6 @@ def _is_small(cause: Cause) -> bool:
 def probabilities(models: Sequence[ModelInReach]) -> np.ndarray:
     """Return the probability of each model if one of them is right, (n_models,)."""
     return np.asarray(scipy.special.softmax([model.log_weight for model in models])) if models else np.zeros(0)
-
-
-@dataclass(frozen=True, kw_only=True)
-class ModelRow:
-    """A model that may be right, by its causes, the likeliest first; no row where no cause found could be another."""
-
-    model: int = column("its number; 1: the model found")
-    change: Change = column(
-        "its change of the model found: none, without a cause, with one instead of another, with one besides, or several of these"
-    )
-    causes: tuple[str, ...] = column("ids of its causes; empty: none")
-    joints: tuple[int, ...] = column("the joint or link of each; 0: none")
-    parts: tuple[str, ...] = column("the part of the robot that each is a cause of")
-    details: tuple[str, ...] = column("the form of each, in words; -: it has only one", separator="; ")
-    log_evidence: float = column("log marginal likelihood, relative to the model that diagnose found")
-    log_prior: float = column("log prior probability, relative to a model without causes")
-    probability: float = column("posterior probability, if one of these models is right")
-
-
-@dataclass(frozen=True, kw_only=True)
-class CauseProbability:
-    """A cause of any of these models, the likeliest first."""
-
-    cause: str = column("id of the effect")
-    joint: int | None = column("number of its joint or link; empty: none")
-    part: str = column("the part of the robot")
-    probability: float = column(
-        "posterior probability that it acts, in any form and beside any others, if one of these models is right"
-    )
-    found: bool = column("whether diagnose put it into the model")
-
-
-def models_table(models: Sequence[ModelInReach]) -> pd.DataFrame:
-    """Return the table of `ModelRow`s of the models in reach, of which the first is the one found."""
-    rows = [
-        ModelRow(
-            model=number, change=model.change, causes=tuple(cause.id for cause in model.causes),
-            joints=tuple(cause.joint for cause in model.causes), parts=tuple(cause.part for cause in model.causes),
-            details=tuple(cause.detail or ONLY for cause in model.causes),
-            log_evidence=model.log_weight - model.log_prior + models[0].log_prior, log_prior=model.log_prior,
-            probability=float(probability),
-        )
-        for number, (model, probability) in enumerate(zip(models, probabilities(models), strict=True), start=1)
-    ]  # fmt: skip
-    return to_frame(sorted(rows, key=lambda row: -row.probability), ModelRow)
-
-
-def cause_table(models: Sequence[ModelInReach]) -> pd.DataFrame:
-    """Return the table of `CauseProbability`s of the models in reach, of which the first is the one found."""
-    acting = {cause.place: cause for model in reversed(models) for cause in reversed(model.causes)}
-    rows = []
-    for place, cause in reversed(acting.items()):
-        having = np.array([any(other.place == place for other in model.causes) for model in models])
-        rows.append(
-            CauseProbability(
-                cause=cause.id, joint=cause.joint or None, part=cause.part,
-                probability=float(probabilities(models)[having].sum()), found=bool(having[0]),
-            )
-        )  # fmt: skip
-    return to_frame(sorted(rows, key=lambda row: -row.probability), CauseProbability)
 
 
 def amplitude(cause: Cause, values: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:

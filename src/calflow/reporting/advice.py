@@ -21,7 +21,7 @@ from calflow.deployment.usability import (
 from calflow.deployment.validation import Validation
 from calflow.design.discrimination import ENOUGH, MOST_NEXT_POSES, NextPose
 from calflow.design.isolability import isolability_gaps
-from calflow.diagnosis.candidates import CandidateRow
+from calflow.diagnosis.cause_tables import CandidateRow
 from calflow.diagnosis.findings import RESTS
 from calflow.effects.base import ASKED, NEEDS, Need, ShownBy
 from calflow.effects.wording import UNEXPLAINED, cause_name, place_name, place_names

@@ -12,7 +12,7 @@ from calflow.deployment.run_outcome import RunOutcome
 from calflow.deployment.usability import mistake_unsettled
 from calflow.design.discrimination import ENOUGH, SeparationRow, no_pose_words
 from calflow.diagnosis import FALSE_ALARM
-from calflow.diagnosis.candidates import CandidateRow
+from calflow.diagnosis.cause_tables import CandidateRow
 from calflow.diagnosis.findings import Finding
 from calflow.diagnosis.stepwise import SHARES
 from calflow.effects.wording import (

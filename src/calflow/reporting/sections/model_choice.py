@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from calflow.diagnosis.verdict import ONLY, ModelRow
+from calflow.diagnosis.cause_tables import ONLY, ModelRow
 from calflow.effects.wording import cause_name, place_name
 from calflow.files.words import first_up, number
 from calflow.reporting.blocks import Block, Paragraph, Table

@@ -1,34 +1,42 @@
-"""The candidates: every place of the catalogue in its best variant by the first screening, with the least size that it detects."""
+"""The tables of causes: candidates with their detection limits, errors along the causes found, and models in reach."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
 import scipy
 
 from calflow.diagnosis.diagnosis import Diagnosis
+from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.noise_growth import RANGE, Growth
 from calflow.diagnosis.regressors import candidates_of
 from calflow.diagnosis.screening import Score, by_place, f_threshold, place_probabilities
-from calflow.diagnosis.stepwise import Screened
-from calflow.diagnosis.verdict import SIZE, amplitude
+from calflow.diagnosis.trial import Screened
+from calflow.diagnosis.verdict import SIZE, Change, ModelInReach, amplitude, probabilities
 from calflow.effects import Effect, catalogue
-from calflow.effects.base import NOTHING
+from calflow.effects.base import NOTHING, Variable
 from calflow.effects.cause import Cause
+from calflow.estimation.accuracy import completed, error_jacobian, errors, judged_unit
 from calflow.estimation.extrapolation import Curve
 from calflow.estimation.parameters import UNIT
+from calflow.estimation.smooth_functions import JointField
 from calflow.files.deferred import pd
-from calflow.files.tables import column, to_frame
+from calflow.files.tables import column, to_frame, typed
+from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements
+from calflow.model import Model
+from calflow.observations import leading_units
 
 NAN = float("nan")
 POWER = 0.95
 LEAST_SHOWN, MOST_SHOWN = 1e-3, 1e5  # bracket of the noncentrality
 DRAWN = 256  # causes drawn from the prior for a limit
 CLOSE = 1e-3  # relative precision of a limit
+PARALLEL = 0.02  # share of an effect across its joint's direction, below which it counts as an error of that joint
+ONLY = "-"  # stands for the form of a cause that has a single one
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -174,3 +182,143 @@ def _sizes(cause: Cause, values: np.ndarray) -> np.ndarray:
         return np.asarray(np.sqrt(np.einsum("ni,ij,nj->n", values, travel.products, values)))
     p = ca.SX.sym("p", values.shape[1])
     return np.abs(np.array(ca.Function("size", [p], [cause.effect.size(p)])(values.T))).ravel()
+
+
+@dataclass(frozen=True, kw_only=True)
+class CurvePoint:
+    """A measured row's error along the direction in which a cause acts, with the variable that explains it."""
+
+    finding: int = column("number of the cause among those in the extended model, from 1")
+    cause: str = column("its id")
+    joint: int | None = column("number of its joint or link; empty: none")
+    variable: str = column("the variable that explains it, in words")
+    variable_unit: str = column("of the variable; empty: none")
+    x: float = column("the variable", "as `variable_unit` says")
+    before_mm: float = column("measured minus predicted, without this cause's contribution; empty: no lengths", "mm")
+    after_mm: float = column("the same with the whole extended model", "mm")
+    fitted_mm: float = column("the cause's contribution", "mm")
+    pose: str = column("as in the measurements")
+    split: str = column("train, holdout; empty: left out as faulty")
+    before: float = column("as before_mm, in `error_unit`")
+    after: float = column("as after_mm, in `error_unit`")
+    fitted: float = column("as fitted_mm, in `error_unit`")
+    error_unit: str = column("the unit by which the model is judged: mm, or where no lengths were measured mrad, px, …")
+
+
+def curves(final: Fitted, causes: Sequence[Cause], data: Measurements) -> pd.DataFrame:
+    """Return one row per measured row and finding: the error along the direction in which the cause moves the tool.
+
+    after is the extended model's residual there, measured minus predicted; fitted is the cause's contribution, before their sum.
+    """
+    model, estimate = final.model, final.fit.estimate
+    left = -np.nan_to_num(errors(model, estimate, data))
+    model, estimate = completed(model, estimate, data)
+    turned = replace(model, effects=(*model.effects, JointField(model.robot, orders=0)))
+    whole = error_jacobian(turned, np.append(estimate, np.zeros(model.robot.n_joints)), data)
+    jacobian, levers = np.split(whole, [len(estimate)], axis=2)
+    unit = judged_unit(leading_units(data))
+    lengths = unit.scale if unit == METRE else np.nan
+    blocks = []
+    for cause in final.causes:
+        columns = model.columns(cause)
+        moved = jacobian[:, :, columns] @ estimate[columns]
+        lever = levers[:, :, cause.joint - 1] if cause.joint else None
+        along = _acting_along(jacobian[:, :, columns], estimate[columns], lever)
+        variable = cause.effect.variable(cause.joint)
+        after, fitted = (np.einsum("ra,ra->r", part, along) for part in (left, moved))
+        block = {
+            "finding": causes.index(cause) + 1, "cause": cause.id, "joint": cause.joint or None,
+            "variable": variable.label, "variable_unit": variable.unit, "x": _variable_values(model, cause, variable, data),
+            "before_mm": lengths * (after + fitted), "after_mm": lengths * after, "fitted_mm": lengths * fitted,
+            "before": unit.shown(after + fitted), "after": unit.shown(after), "fitted": unit.shown(fitted),
+            "error_unit": unit.label,
+            "pose": data.table["pose"], "split": data.table["split"],
+        }  # fmt: skip
+        blocks.append(typed(pd.DataFrame(block), CurvePoint))
+    return pd.concat(blocks, ignore_index=True) if blocks else to_frame((), CurvePoint)
+
+
+def _acting_along(jacobian: np.ndarray, value: np.ndarray, lever: np.ndarray | None) -> np.ndarray:
+    """Return the unit vectors (n_rows, 3) along which a cause acts.
+
+    If all its parameters move the tool as its joint does, they are along the joint's lever (n_rows, 3), whose sign does not follow
+    the effect, as else every error would look positive. Otherwise they are the principal axis of each row, with one common side.
+    """
+    moved = jacobian * np.abs(value)
+    if lever is not None:
+        along = lever / np.maximum(np.linalg.norm(lever, axis=1), 1e-12)[:, None]
+        apart = moved - along[:, :, None] * np.einsum("ra,rap->rp", along, moved)[:, None, :]
+        if np.linalg.norm(apart) < PARALLEL * np.linalg.norm(moved):
+            return along
+    _, _, axes = np.linalg.svd(moved.transpose(0, 2, 1), full_matrices=False)
+    along = axes[:, 0, :]
+    mean = np.einsum("rap,rbp,rb->a", moved, moved, along)
+    return along * np.where(along @ mean < 0, -1.0, 1.0)[:, None]
+
+
+def _variable_values(model: Model, cause: Effect, variable: Variable, data: Measurements) -> np.ndarray:
+    rigid = Model(model.robot, (), model.given)
+    (values,) = rigid.figures(
+        "variable", lambda p, c, at: [variable.value(at.state, at.row)], rigid.nominal, data.conditions
+    )
+    return values.ravel() * variable.factor
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelRow:
+    """A model that may be right, by its causes, the likeliest first; no row where no cause found could be another."""
+
+    model: int = column("its number; 1: the model found")
+    change: Change = column(
+        "its change of the model found: none, without a cause, with one instead of another, with one besides, or several of these"
+    )
+    causes: tuple[str, ...] = column("ids of its causes; empty: none")
+    joints: tuple[int, ...] = column("the joint or link of each; 0: none")
+    parts: tuple[str, ...] = column("the part of the robot that each is a cause of")
+    details: tuple[str, ...] = column("the form of each, in words; -: it has only one", separator="; ")
+    log_evidence: float = column("log marginal likelihood, relative to the model that diagnose found")
+    log_prior: float = column("log prior probability, relative to a model without causes")
+    probability: float = column("posterior probability, if one of these models is right")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CauseProbability:
+    """A cause of any of these models, the likeliest first."""
+
+    cause: str = column("id of the effect")
+    joint: int | None = column("number of its joint or link; empty: none")
+    part: str = column("the part of the robot")
+    probability: float = column(
+        "posterior probability that it acts, in any form and beside any others, if one of these models is right"
+    )
+    found: bool = column("whether diagnose put it into the model")
+
+
+def models_table(models: Sequence[ModelInReach]) -> pd.DataFrame:
+    """Return the table of `ModelRow`s of the models in reach, of which the first is the one found."""
+    rows = [
+        ModelRow(
+            model=number, change=model.change, causes=tuple(cause.id for cause in model.causes),
+            joints=tuple(cause.joint for cause in model.causes), parts=tuple(cause.part for cause in model.causes),
+            details=tuple(cause.detail or ONLY for cause in model.causes),
+            log_evidence=model.log_weight - model.log_prior + models[0].log_prior, log_prior=model.log_prior,
+            probability=float(probability),
+        )
+        for number, (model, probability) in enumerate(zip(models, probabilities(models), strict=True), start=1)
+    ]  # fmt: skip
+    return to_frame(sorted(rows, key=lambda row: -row.probability), ModelRow)
+
+
+def cause_table(models: Sequence[ModelInReach]) -> pd.DataFrame:
+    """Return the table of `CauseProbability`s of the models in reach, of which the first is the one found."""
+    acting = {cause.place: cause for model in reversed(models) for cause in reversed(model.causes)}
+    rows = []
+    for place, cause in reversed(acting.items()):
+        having = np.array([any(other.place == place for other in model.causes) for model in models])
+        rows.append(
+            CauseProbability(
+                cause=cause.id, joint=cause.joint or None, part=cause.part,
+                probability=float(probabilities(models)[having].sum()), found=bool(having[0]),
+            )
+        )  # fmt: skip
+    return to_frame(sorted(rows, key=lambda row: -row.probability), CauseProbability)
