@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import scipy
@@ -56,7 +56,7 @@ class Advice:
         return f"{self.sentence} ({self.keys})" if self.keys else self.sentence
 
 
-Rule = Callable[[RunOutcome], list[Advice]]
+Rule = Callable[[RunOutcome], Iterable[Advice]]
 
 
 def no_gain_words(share: float, where: str) -> str:
@@ -133,40 +133,36 @@ def mistake_unsettled(outcome: RunOutcome) -> list[Advice]:
     ]
 
 
-def noise_contradicted(outcome: RunOutcome) -> list[Advice]:
+def noise_contradicted(outcome: RunOutcome) -> Iterator[Advice]:
     """A stated noise that the measurements contradict; a fit that relied on it may be useless."""
-    return [
-        Advice(1 if doubt.useless else 2, f"{'Do not use this result. ' * doubt.useless}{doubt.words}")
-        for doubt in outcome.summary.noise_doubts
-    ]
+    for doubt in outcome.summary.noise_doubts:
+        yield Advice(1 if doubt.useless else 2, f"{'Do not use this result. ' * doubt.useless}{doubt.words}")
 
 
-def nominal_far_off(outcome: RunOutcome) -> list[Advice]:
+def nominal_far_off(outcome: RunOutcome) -> Iterator[Advice]:
     """A nominal robot that misses by a tenth of the measured space is misdescribed or misread."""
     off = outcome.accuracy[0].mean_mm
-    if not off >= FAR_OFF * outcome.summary.spread_mm:  # nan: no lengths were measured
-        return []
-    sentence = (
-        f"Do not use this result: the nominal robot misses by {mm(off)} mm, which no robot does. Check for swapped axes, a "
-        "joint's sign or order, the DH convention, and single wild rows."
-    )
-    return [Advice(1, sentence)]
+    if off >= FAR_OFF * outcome.summary.spread_mm:  # nan: no lengths were measured
+        sentence = (
+            f"Do not use this result: the nominal robot misses by {mm(off)} mm, which no robot does. Check for swapped axes, a "
+            "joint's sign or order, the DH convention, and single wild rows."
+        )
+        yield Advice(1, sentence)
 
 
-def not_converged(outcome: RunOutcome) -> list[Advice]:
+def not_converged(outcome: RunOutcome) -> Iterator[Advice]:
     """A fit that stopped before its optimum must not be used."""
-    return _stopped(
+    yield from _stopped(
         outcome.summary,
         "Do not use these parameters: the fit",
         "Check the robot file's dimensions and units and the flagged rows, then run again.",
     )
 
 
-def _stopped(summary: FitSummary, what: str, do: str, keys: str = "") -> list[Advice]:
-    """Return the advice on a fit that stopped before its optimum; none where it converged."""
-    if summary.converged:
-        return []
-    return [Advice(1, f"{what} did not converge ({summary.solver.words}). {do}", keys=keys)]
+def _stopped(summary: FitSummary, what: str, do: str, keys: str = "") -> Iterator[Advice]:
+    """Yield the advice on a fit that stopped before its optimum."""
+    if not summary.converged:
+        yield Advice(1, f"{what} did not converge ({summary.solver.words}). {do}", keys=keys)
 
 
 def no_better_in_space(outcome: RunOutcome) -> list[Advice]:
@@ -184,41 +180,41 @@ def no_better_in_space(outcome: RunOutcome) -> list[Advice]:
     return [Advice(1 if promised.better < EVEN else 2, sentence)]
 
 
-def extension_not_converged(outcome: RunOutcome) -> list[Advice]:
+def extension_not_converged(outcome: RunOutcome) -> Iterator[Advice]:
     """An extended model whose fit stopped before its optimum must not be used, nor the causes named by it."""
-    if "diagnose/summary.json" not in outcome.results:
-        return []
-    return _stopped(
-        outcome.diagnosis_summary,
-        "Do not use the model that diagnose extended: its fit",
-        "Check the flagged rows and what was found last, or look for fewer causes, then run again.",
-        "stages.diagnose.causes",
-    )
+    if "diagnose/summary.json" in outcome.results:
+        yield from _stopped(
+            outcome.diagnosis_summary,
+            "Do not use the model that diagnose extended: its fit",
+            "Check the flagged rows and what was found last, or look for fewer causes, then run again.",
+            "stages.diagnose.causes",
+        )
 
 
-def makes_it_worse(outcome: RunOutcome) -> list[Advice]:
+def makes_it_worse(outcome: RunOutcome) -> Iterator[Advice]:
     """Causes that worsen held-out poses: a loss within the noise is ignored; a small one does not bar the model."""
     if "diagnose/accuracy.csv" not in outcome.results or outcome.split_judged != "holdout":
-        return []
+        return
     unit = outcome.accuracy[0].unit
     steps = (outcome.results.rows(f"{stage}/accuracy.csv", Accuracy) for stage in ("identify", "diagnose"))
     first, last = ([row for row in rows if (row.split, row.unit) == ("holdout", unit)][-1].figures[0] for rows in steps)
     noticed = NOTICED * (outcome.certainty.noise_floor or 0.0)
     if last <= max(WORSE * first, first + noticed):
-        return []
+        return
     figures = f"{mm(last)} {unit} against {mm(first)} {unit}"
     if last > HARM * first:
         sentence = (
             f"Do not use the model with the causes: at held-out poses it is worse than without them ({figures}). The fitted poses "
             "are too few or too alike for so many causes; measure more."
         )
-        return [Advice(1, sentence)]
+        yield Advice(1, sentence)
+        return
     what = "a little worse" if loss_by_chance(outcome) < BY_CHANCE else "no better, perhaps by chance,"
     sentence = (
         f"At held-out poses the model with the causes is {what} than without them ({figures}). Measure more poses before you rely "
         "on what was found, or leave it out."
     )
-    return [Advice(2, sentence, keys="stages.diagnose.leave_out")]
+    yield Advice(2, sentence, keys="stages.diagnose.leave_out")
 
 
 def loss_by_chance(outcome: RunOutcome) -> float:
@@ -240,10 +236,12 @@ def loss_by_chance(outcome: RunOutcome) -> float:
     )
 
 
-def look_for_reason(outcome: RunOutcome) -> list[Advice]:
+def look_for_reason(outcome: RunOutcome) -> Iterator[Advice]:
     """A cause of the measuring is in the model, and may act on later rows in another way: its reason is to be found."""
     kinds = [(finding, effect_class(finding.cause)) for finding in outcome.findings if finding.is_cause]
     found = [(finding, kind) for finding, kind in kinds if kind and kind.of_measuring() and not kind.is_noise()]
+    if not found:
+        return
     tests = dict.fromkeys(
         f" To be sure, {kind.told_by}." for finding, kind in found if kind.told_by and not finding.others
     )
@@ -251,7 +249,7 @@ def look_for_reason(outcome: RunOutcome) -> list[Advice]:
         f"Find the reason: {listed(labels([finding for finding, _ in found]), 3)}. The calibration allows for it; if it happens "
         f"again, later measurements are off.{''.join(tests)}"
     )
-    return [Advice(2, sentence)] if found else []
+    yield Advice(2, sentence)
 
 
 def labels(causes: Sequence[Finding]) -> list[str]:

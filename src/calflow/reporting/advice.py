@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 from calflow.deployment.drift import Drift
 from calflow.deployment.run_outcome import FAULTS, RunOutcome
 from calflow.deployment.usability import (
     AT_THE_DESK,
-    AT_THE_ROBOT,
     CAUSE_RULES,
     FIT_RULES,
     WITH_MORE,
@@ -25,7 +24,7 @@ from calflow.diagnosis.cause_tables import CandidateRow
 from calflow.diagnosis.findings import RESTS
 from calflow.effects.base import ASKED, NEEDS, Need, ShownBy
 from calflow.effects.wording import UNEXPLAINED, cause_name, place_name, place_names
-from calflow.estimation.certainty import PROMISED
+from calflow.estimation.certainty import PROMISED, MissedPose
 from calflow.estimation.identifiability import Statement
 from calflow.estimation.noise import MIN_REPEATS
 from calflow.estimation.parameters import FittedParameter
@@ -76,27 +75,14 @@ REMEDIES = {  # by the kind of what has moved
 }
 
 
-def advise(
-    urgency: int,
-    sentence: str,
-    where: object = True,
-    effort: int = AT_THE_ROBOT,
-    keys: str = "",
-    poses: int | None = None,
-) -> list[Advice]:
-    """Return advice as a list, empty unless `where` is true."""
-    return [Advice(urgency, sentence, effort, keys, poses)] if where else []
-
-
-def correct_the_file(outcome: RunOutcome) -> list[Advice]:
+def correct_the_file(outcome: RunOutcome) -> Iterator[Advice]:
     """Faults of a file are to be corrected in it once and for all; possible ones are to be checked."""
     faults = [rows for rows in faults_by_rows(outcome) if rows[0].action != "unsettled"]
-    advised = [
-        Advice(2, f"{'Check' if row.action == 'told' else 'Correct'} the {row.where}: {row.sentences}")
-        for row, *_ in faults[:TOLD]
-    ]
-    further = f"{plural(len(faults) - TOLD, 'further fault')}, see the section on data faults"
-    return advised + advise(2, f"Correct the measurement file: {further}.", where=len(faults) > TOLD)
+    for row, *_ in faults[:TOLD]:
+        yield Advice(2, f"{'Check' if row.action == 'told' else 'Correct'} the {row.where}: {row.sentences}")
+    if len(faults) > TOLD:
+        further = f"{plural(len(faults) - TOLD, 'further fault')}, see the section on data faults"
+        yield Advice(2, f"Correct the measurement file: {further}.")
 
 
 def faults_by_rows(outcome: RunOutcome) -> list[list[FaultyRow]]:
@@ -108,29 +94,23 @@ def faults_by_rows(outcome: RunOutcome) -> list[list[FaultyRow]]:
     return sorted(faults.values(), key=lambda rows: -len(rows) if all(row.line is not None for row in rows) else -most)
 
 
-def not_met(outcome: RunOutcome) -> list[Advice]:
+def not_met(outcome: RunOutcome) -> Iterator[Advice]:
     """Tolerances that some points hardly meet, and points outside the measured conditions, require action."""
     if (task := outcome.task) is None:
-        return []
-    sure = f"with {100 * LIKELY:.0f} % probability"
-    far = 0 if task.likely_positions is None else task.points - task.likely_positions
-    turned = 0 if task.likely_turns is None else task.points - task.likely_turns
-    unmeasured = "no orientation was measured. Measure some, or markers whose places on the tool are known"
-    how = "poses near them help most" if task.orientation_measured else unmeasured
-    positions = (
-        f"{far} of {task.points} points of the task are not within {mm(task.tolerance_mm or 0.0)} mm {sure}. Measure poses near "
-        "them, under their payload."
-    )
-    keys = "sample/task.csv says which; [stages.select.task] chooses poses near them"
-    turns = (
-        f"{turned} of {task.points} points of the task are not turned within {mm(task.turn_tolerance_mrad or 0.0)} mrad "
-        f"{sure}: {how}."
-    )
-    return [
-        *advise(2, positions, where=far, keys=keys, poses=MOST_NEXT_POSES),
-        *advise(2, turns, where=turned, poses=MOST_NEXT_POSES),
-        *advise(2, f"{strange(task)} Measure there too.", where=task.beyond_measured, poses=MOST_NEXT_POSES),
-    ]
+        return
+    points, sure = f"of {task.points} points of the task are not", f"with {100 * LIKELY:.0f} % probability"
+    if task.tolerance_mm is not None and task.likely_positions is not None and task.likely_positions < task.points:
+        far = f"{task.points - task.likely_positions} {points} within {mm(task.tolerance_mm)} mm {sure}"
+        keys = "sample/task.csv says which; [stages.select.task] chooses poses near them"
+        sentence = f"{far}. Measure poses near them, under their payload."
+        yield Advice(2, sentence, keys=keys, poses=MOST_NEXT_POSES)
+    if task.turn_tolerance_mrad is not None and task.likely_turns is not None and task.likely_turns < task.points:
+        far = f"{task.points - task.likely_turns} {points} turned within {mm(task.turn_tolerance_mrad)} mrad {sure}"
+        unmeasured = "no orientation was measured. Measure some, or markers whose places on the tool are known"
+        how = "poses near them help most" if task.orientation_measured else unmeasured
+        yield Advice(2, f"{far}: {how}.", poses=MOST_NEXT_POSES)
+    if task.beyond_measured:
+        yield Advice(2, f"{strange(task)} Measure there too.", poses=MOST_NEXT_POSES)
 
 
 def strange(task: TaskSummary) -> str:
@@ -141,75 +121,75 @@ def strange(task: TaskSummary) -> str:
     )
 
 
-def starts_disagree(outcome: RunOutcome) -> list[Advice]:
+def starts_disagree(outcome: RunOutcome) -> Iterator[Advice]:
     """Fits from different starts should find the same optimum."""
     summary = outcome.summary
-    sentence = (
-        f"Only {summary.starts_agreeing} of {summary.starts} fits from different starting points came to the same result; the "
-        "best is reported. Fit from more starting points and compare, and check the dimensions in the robot file."
-    )
-    disagree = summary.starts_agreeing < summary.starts
-    return advise(2, sentence, where=disagree, effort=AT_THE_DESK, keys="starts under [stages.identify]")
+    if summary.starts_agreeing < summary.starts:
+        sentence = (
+            f"Only {summary.starts_agreeing} of {summary.starts} fits from different starting points came to the same result; the "
+            "best is reported. Fit from more starting points and compare, and check the dimensions in the robot file."
+        )
+        yield Advice(2, sentence, AT_THE_DESK, "starts under [stages.identify]")
 
 
-def model_lacks(outcome: RunOutcome) -> list[Advice]:
+def model_lacks(outcome: RunOutcome) -> Iterator[Advice]:
     """A model with a significant lack of fit is incomplete; any known structure is reported where it was found."""
     summary = outcome.fit_summary
-    times, unexplained = summary.lack_of_fit, any(finding.status == "unexplained" for finding in outcome.findings)
-    stated = "file" in summary.noise_sources
-    doubt = "the noise is larger than stated" if stated else "poses repeat worse than repeats in a row show"
-    sentence = (
-        f"The error left is larger than the instrument's noise explains: something is missing in the model, or {doubt}. See the "
-        "residuals against each joint; a trend there points to the cause."
-    )
-    return advise(2, sentence, where=(times > LACKS or summary.lacks_fit) and not unexplained)
+    unexplained = any(finding.status == "unexplained" for finding in outcome.findings)
+    if (summary.lack_of_fit > LACKS or summary.lacks_fit) and not unexplained:
+        stated = "file" in summary.noise_sources
+        doubt = "the noise is larger than stated" if stated else "poses repeat worse than repeats in a row show"
+        yield Advice(
+            2,
+            f"The error left is larger than the instrument's noise explains: something is missing in the model, or {doubt}. See "
+            "the residuals against each joint; a trend there points to the cause.",
+        )
 
 
-def noise_doubtful(outcome: RunOutcome) -> list[Advice]:
+def noise_doubtful(outcome: RunOutcome) -> Iterator[Advice]:
     """Residuals cannot be much smaller than the noise."""
-    times = outcome.fit_summary.lack_of_fit
-    sentence = (
-        "The error left is much smaller than the stated noise: the measurements are better. Correct the stated noise, or "
-        "measure repeats; the standard deviations given here are too large."
-    )
-    doubtful = times < TOO_GOOD and not outcome.summary.noise_doubts
-    return advise(3, sentence, where=doubtful, keys=f"sigma_{outcome.accuracy[0].unit}")
+    if outcome.fit_summary.lack_of_fit < TOO_GOOD and not outcome.summary.noise_doubts:
+        sentence = (
+            "The error left is much smaller than the stated noise: the measurements are better. Correct the stated noise, or "
+            "measure repeats; the standard deviations given here are too large."
+        )
+        yield Advice(3, sentence, keys=f"sigma_{outcome.accuracy[0].unit}")
 
 
-def noise_unknown(outcome: RunOutcome) -> list[Advice]:
+def noise_unknown(outcome: RunOutcome) -> Iterator[Advice]:
     """Without a noise level known independently of the fit, the model's completeness cannot be tested."""
-    sentence = (
-        "Measure some poses again, coming back to each from elsewhere: at least "
-        f"{-(-MIN_REPEATS // 3)} repeats in all, better {REPEATS}. Without them neither the noise nor a gap in the model can "
-        "be seen."
-    )
-    keys = f"or state sigma_{outcome.accuracy[0].unit}"
-    return advise(2, sentence, where=not outcome.summary.noise_known, keys=keys, poses=REPEATS)
+    if not outcome.summary.noise_known:
+        sentence = (
+            "Measure some poses again, coming back to each from elsewhere: at least "
+            f"{-(-MIN_REPEATS // 3)} repeats in all, better {REPEATS}. Without them neither the noise nor a gap in the model can "
+            "be seen."
+        )
+        yield Advice(2, sentence, keys=f"or state sigma_{outcome.accuracy[0].unit}", poses=REPEATS)
 
 
-def nothing_held_out(outcome: RunOutcome) -> list[Advice]:
+def nothing_held_out(outcome: RunOutcome) -> Iterator[Advice]:
     """Errors at fitted poses underestimate those at new ones."""
     if outcome.split_judged == "holdout":
-        return []
-    keys, flatters = (
-        "split.holdout = 0.3",
-        "the accuracy given here is that of the fitted poses, which flatters the model.",
-    )
+        return
+    keys = "split.holdout = 0.3"
+    flatters = "the accuracy given here is that of the fitted poses, which flatters the model."
     if _share_taken(outcome) <= HOLDING_OUT:
-        return advise(2, f"Hold out three poses in ten: {flatters}", effort=AT_THE_DESK, keys=keys)
+        yield Advice(2, f"Hold out three poses in ten: {flatters}", AT_THE_DESK, keys)
+        return
     further = f"Measure further poses and hold these out: none of those measured can be spared. {first_up(flatters)}"
-    return advise(2, further, keys=keys, poses=math.ceil(0.4 * outcome.summary.training_poses))
+    yield Advice(2, further, keys=keys, poses=math.ceil(0.4 * outcome.summary.training_poses))
 
 
-def few_poses(outcome: RunOutcome) -> list[Advice]:
+def few_poses(outcome: RunOutcome) -> Iterator[Advice]:
     """Parameters determined by few poses add more to the error at new poses than the device's noise does."""
     summary, poses = outcome.fit_summary, outcome.summary.training_poses
-    more = math.ceil(poses * (2 * _share_taken(outcome) - 1))
-    sentence = (
-        f"Measure about {more} more {'pose' if more == 1 else 'poses'}: {poses} are too few. At new poses like these "
-        f"expect an RMS error of {summary.at_new_poses}."
-    )
-    return advise(2, sentence, where=summary.times_noise > 1 and not summary.lacks_fit, poses=more)
+    if summary.times_noise > 1 and not summary.lacks_fit:
+        more = math.ceil(poses * (2 * _share_taken(outcome) - 1))
+        sentence = (
+            f"Measure about {more} more {'pose' if more == 1 else 'poses'}: {poses} are too few. At new poses like these "
+            f"expect an RMS error of {summary.at_new_poses}."
+        )
+        yield Advice(2, sentence, poses=more)
 
 
 def _share_taken(outcome: RunOutcome) -> float:
@@ -221,36 +201,39 @@ def _share_taken(outcome: RunOutcome) -> float:
     return squared / (1 + squared)
 
 
-def does_not_carry_over(outcome: RunOutcome) -> list[Advice]:
+def does_not_carry_over(outcome: RunOutcome) -> Iterator[Advice]:
     """A model much worse at held-out poses was fitted to too few or too similar poses."""
     rows = outcome.accuracy
     train, held = (
         [row for row in rows if (row.split, row.unit) == (split, rows[0].unit)] for split in ("train", "holdout")
     )
     if not train or not held:
-        return []
+        return
     fitted, unseen, unit = train[-1].figures[0], held[-1].figures[0], rows[0].unit
-    sentence = (
-        f"The error at held-out poses is {ratio(unseen / fitted)} times that at fitted ones ({mm(unseen)} {unit} "
-        f"against {mm(fitted)} {unit}). Measure as many further poses, spread over the space where the robot works."
-    )
-    return advise(2, sentence, where=unseen > WORSE * fitted, poses=outcome.summary.training_poses)
+    if unseen > WORSE * fitted:
+        sentence = (
+            f"The error at held-out poses is {ratio(unseen / fitted)} times that at fitted ones ({mm(unseen)} {unit} "
+            f"against {mm(fitted)} {unit}). Measure as many further poses, spread over the space where the robot works."
+        )
+        yield Advice(2, sentence, poses=outcome.summary.training_poses)
 
 
-def reaches_beyond(outcome: RunOutcome) -> list[Advice]:
+def reaches_beyond(outcome: RunOutcome) -> Iterator[Advice]:
     """Held-out poses beyond the fitted joint ranges require extrapolation."""
-    joints = [joint.joint for joint in outcome.summary.extrapolation]
-    sentence = (
-        f"Some held-out poses reach further than any fitted one ({plural_word(joints, 'joint')} {listed(joints, 8)}). Measure "
-        "poses for the fit that cover the whole range there."
-    )
-    return advise(3, sentence, where=joints, poses=REACHING * len(joints))
+    if joints := [joint.joint for joint in outcome.summary.extrapolation]:
+        sentence = (
+            f"Some held-out poses reach further than any fitted one ({plural_word(joints, 'joint')} {listed(joints, 8)}). Measure "
+            "poses for the fit that cover the whole range there."
+        )
+        yield Advice(3, sentence, poses=REACHING * len(joints))
 
 
-def look_for_structure(outcome: RunOutcome) -> list[Advice]:
+def look_for_structure(outcome: RunOutcome) -> Iterator[Advice]:
     """Unexplained structure is to be investigated at the robot."""
     if not outcome.unexplained:
-        return _look_there(outcome) if outcome.lack_of_fit_words else []
+        if outcome.lack_of_fit_words:
+            yield _look_there(outcome)
+        return
     if at_rest := [finding for finding in outcome.unexplained if finding.unrepeated]:
         sides, ratios, first = NEEDS["approach"], NEEDS["gear_ratio"], at_rest[0]
         asked = {row.asked for row in outcome.candidates}
@@ -258,7 +241,9 @@ def look_for_structure(outcome: RunOutcome) -> list[Advice]:
         do = f"Note {sides.plain}" if sides in unknown else "Look at its gear and its brake"
         waves = f" State {ratios.plain}: waves of the motor's turns can then be found." if ratios in unknown else ""
         sentence = f"{first_up(first.unrepeated)} {RESTS}: by {first.detail}. {do}, or approach every "
-        return advise(2, f"{sentence}pose from the same side.{waves}", keys="; ".join(need.words for need in unknown))
+        keys = "; ".join(need.words for need in unknown)
+        yield Advice(2, f"{sentence}pose from the same side.{waves}", keys=keys)
+        return
     left = outcome.unexplained
     suspects = next((finding.suspects for finding in left if finding.suspects), "")
     may_be = f"{'It' if len(left) == 1 else 'A part of it'} may be {suspects}; these poses do not show it clearly"
@@ -267,10 +252,10 @@ def look_for_structure(outcome: RunOutcome) -> list[Advice]:
         f"An error remains that depends on {outcome.structure}. {why}. Before you measure again, look for what changes with it: "
         "hoses and cables, loose bolts, collisions, the instrument's support."
     )
-    return advise(2, sentence)
+    yield Advice(2, sentence)
 
 
-def _look_there(outcome: RunOutcome) -> list[Advice]:
+def _look_there(outcome: RunOutcome) -> Advice:
     """Return the advice on a lack of fit that depends on no input."""
     worst = outcome.diagnosis_summary.worst
     where = f"where {worst.where}" if worst else "at the poses with the largest errors"
@@ -278,7 +263,7 @@ def _look_there(outcome: RunOutcome) -> list[Advice]:
         f"More is left than noise, and nothing that was tested explains it{_nearest(outcome)}. Measure again {where}, coming "
         "back to some poses from elsewhere. What repeats is the robot's; what does not is the instrument's or the set-up's."
     )
-    return advise(2, sentence, keys="" if worst else "diagnose/residuals.csv has the errors", poses=REPEATS)
+    return Advice(2, sentence, keys="" if worst else "diagnose/residuals.csv has the errors", poses=REPEATS)
 
 
 def _nearest(outcome: RunOutcome) -> str:
@@ -292,7 +277,7 @@ def _nearest(outcome: RunOutcome) -> str:
     return f" for certain ({place_name(nearest.cause, nearest.joint, nearest.part)} comes nearest)" if nearest else ""
 
 
-def untested(outcome: RunOutcome) -> list[Advice]:
+def untested(outcome: RunOutcome) -> Iterator[Advice]:
     """Where something stays unexplained, record the condition that makes most causes testable.
 
     Also the direction of approach, which costs nothing to record: only that reveals backlash. What depends on angles
@@ -302,14 +287,14 @@ def untested(outcome: RunOutcome) -> list[Advice]:
     names = untestable(rows)
     needs = {row.lacking: [ASKED[need] for need in row.asked if ASKED[need].plain] for row in rows}
     worth = [lacking for lacking in names if needs[lacking]]
-    if not worth or not look_for_structure(outcome):
-        return []
+    if not worth or not (outcome.unexplained or outcome.lack_of_fit_words):
+        return
     sides, of_angles = [NEEDS["approach"]], [finding.of_angles for finding in outcome.unexplained]
     if of_angles and all(of_angles):
         worth = [lacking for lacking in worth if needs[lacking] != sides]
     by_sides = [lacking for lacking in worth if needs[lacking] == sides]
     most = sorted(worth, key=lambda lacking: -len(names[lacking]))[:1]
-    return [_test_too(lacking, needs[lacking], names[lacking]) for lacking in dict.fromkeys((*by_sides, *most))]
+    yield from (_test_too(lacking, needs[lacking], names[lacking]) for lacking in dict.fromkeys((*by_sides, *most)))
 
 
 def _test_too(lacking: str, needs: Sequence[Need | ShownBy], names: Sequence[str]) -> Advice:
@@ -331,12 +316,11 @@ def untestable(rows: Sequence[CandidateRow]) -> dict[str, list[str]]:
     return groups
 
 
-def advised_poses(outcome: RunOutcome) -> list[Advice]:
+def advised_poses(outcome: RunOutcome) -> Iterator[Advice]:
     """Poses that distinguish a cause from its rival are to be measured."""
     plans: dict[tuple[object, ...], list[NextPose]] = {}
     for pose in outcome.next_poses:
         plans.setdefault((pose.cause, pose.joint, pose.rival_causes, pose.rival_joints), []).append(pose)
-    sentences = []
     for poses in plans.values():
         first = poses[0]
         name, others = cause_name(first.cause, first.joint), cause_names(first.rival_causes, first.rival_joints)
@@ -347,14 +331,14 @@ def advised_poses(outcome: RunOutcome) -> list[Advice]:
         )
         pairs = [" from ".join(pair) for pair in open_pairs]
         left_open = f" They do not distinguish {listed(pairs, 1)}." if pairs else ""
-        sentences.append(
+        sentence = (
             f"Measure the {plural(len(poses), 'pose')} of diagnose/next_poses.csv that distinguish {name} from {listed(others, 2)}."
             f"{left_open}"
         )
-    return [Advice(3, sentence, poses=len(outcome.next_poses)) for sentence in sentences]
+        yield Advice(3, sentence, poses=len(outcome.next_poses))
 
 
-def other_means(outcome: RunOutcome) -> list[Advice]:
+def other_means(outcome: RunOutcome) -> Iterator[Advice]:
     """Where no poses distinguish a cause from its rival, other means are needed."""
     open_ = {(finding.cause, finding.joint) for finding in outcome.findings if finding.status == "one_of"}
     rivals: dict[tuple[str, str], list[str]] = {}
@@ -362,37 +346,33 @@ def other_means(outcome: RunOutcome) -> list[Advice]:
         if row.chance_after < ENOUGH and row.rival != UNEXPLAINED and (row.cause, row.joint) in open_:
             name = cause_name(row.cause, row.joint)
             rivals.setdefault((name, row.means), []).append(cause_name(row.rival, row.rival_joint))
-    questions = [
-        Advice(3, f"Is it {own} or {listed(names, 2)}? {first_up(what)}.", poses=0)
-        for (own, what), names in rivals.items()
-    ]
-    further = sum(len(names) for names in list(rivals.values())[ASKED_ABOUT:])
-    left = f"Further rivals are left, {further} in all: diagnose/separations.csv has what distinguishes each."
-    return [*questions[:ASKED_ABOUT], *([Advice(3, left, poses=0)] if further else [])]
+    for (own, what), names in list(rivals.items())[:ASKED_ABOUT]:
+        yield Advice(3, f"Is it {own} or {listed(names, 2)}? {first_up(what)}.", poses=0)
+    if further := sum(len(names) for names in list(rivals.values())[ASKED_ABOUT:]):
+        left = f"Further rivals are left, {further} in all: diagnose/separations.csv has what distinguishes each."
+        yield Advice(3, left, poses=0)
 
 
 def cause_names(causes: tuple[str, ...], joints: tuple[int, ...]) -> list[str]:
     return [cause_name(cause, joint) for cause, joint in zip(causes, joints, strict=True)]
 
 
-def flagged_rows(outcome: RunOutcome) -> list[Advice]:
+def flagged_rows(outcome: RunOutcome) -> Iterator[Advice]:
     """Poses with errors far beyond the predicted limits, and outlying rows, are to be checked."""
     missed, rows = outcome.certainty.missed, flags(outcome)
+    if missed:
+        yield _look_at(missed, outcome.certainty.unit)
     known = [pose.line for pose in missed]
-    lines = [line for line in rows.loc[rows["flagged"].astype(bool), "line"] if line not in known]
-    sentence = (
-        f"Check {plural(len(lines), 'row')} of the measurement file ({plural_word(lines, 'line')} {listed(lines, 12)}), "
-        "out of line with the others. Measure again, or leave out what is a mistake."
-    )
-    return [*look_at_missed_poses(outcome), *advise(2, sentence, where=lines, effort=AT_THE_DESK)]
+    if lines := [line for line in rows.loc[rows["flagged"].astype(bool), "line"] if line not in known]:
+        sentence = (
+            f"Check {plural(len(lines), 'row')} of the measurement file ({plural_word(lines, 'line')} {listed(lines, 12)}), "
+            "out of line with the others. Measure again, or leave out what is a mistake."
+        )
+        yield Advice(2, sentence, AT_THE_DESK)
 
 
-def look_at_missed_poses(outcome: RunOutcome) -> list[Advice]:
-    """Return words on the poses with errors far beyond the predicted limits, by how much, and what to do."""
-    certainty = outcome.certainty
-    missed, unit = certainty.missed, certainty.unit
-    if not missed:
-        return []
+def _look_at(missed: Sequence[MissedPose], unit: str) -> Advice:
+    """Return the advice on poses with errors [unit] far beyond the predicted limits: by how much, and what to do."""
     by_line = sorted(missed, key=lambda pose: pose.line)
     names, lines = [pose.pose for pose in by_line], [pose.line for pose in by_line]
     where = f"{plural_word(lines, 'line')} {listed(lines, 4)} of the file"
@@ -404,7 +384,7 @@ def look_at_missed_poses(outcome: RunOutcome) -> list[Advice]:
         f"{which} {does} {off}. Measure {again} again. If the error repeats, do not use the calibration near such poses; if "
         "not, leave the rows out."
     )
-    return [Advice(2, sentence, AT_THE_DESK)]
+    return Advice(2, sentence, AT_THE_DESK)
 
 
 def flags(outcome: RunOutcome) -> pd.DataFrame:
@@ -415,21 +395,23 @@ def flags(outcome: RunOutcome) -> pd.DataFrame:
     return rows.assign(flagged=rows["flagged"].astype(bool) | rows["line"].isin(missed))
 
 
-def at_bound(outcome: RunOutcome) -> list[Advice]:
+def at_bound(outcome: RunOutcome) -> Iterator[Advice]:
     """A parameter that the data push against a bound indicates another error."""
     pushed = [row for row in outcome.fitted_parameters if row.at_bound and row.prior_share <= BY_PRIOR]
     zero = [row for row in pushed if row.lower == 0 and row.estimate < NEAR_ZERO * row.upper]
-    far = [row for row in pushed if row not in zero]
-    ranges = listed(list(dict.fromkeys(map(allowed_range, far))), 4)
-    pushed_far = (
-        f"The data push {listed(list(map(meant, far)), 4)} to the end of the allowed range ({ranges}). Check the dimensions and "
-        "units in the robot file, and the payload's mass."
-    )
-    at_zero = (
-        f"{first_up(listed(list(map(meant, zero)), 4))} came out at zero, the least allowed. Either the joint is too stiff for "
-        "these data, or the masses and payload in the robot file are wrong."
-    )
-    return advise(2, pushed_far, far, AT_THE_DESK) + advise(3, at_zero, zero, AT_THE_DESK)
+    if far := [row for row in pushed if row not in zero]:
+        ranges = listed(list(dict.fromkeys(map(allowed_range, far))), 4)
+        pushed_far = (
+            f"The data push {listed(list(map(meant, far)), 4)} to the end of the allowed range ({ranges}). Check the dimensions "
+            "and units in the robot file, and the payload's mass."
+        )
+        yield Advice(2, pushed_far, AT_THE_DESK)
+    if zero:
+        at_zero = (
+            f"{first_up(listed(list(map(meant, zero)), 4))} came out at zero, the least allowed. Either the joint is too stiff "
+            "for these data, or the masses and payload in the robot file are wrong."
+        )
+        yield Advice(3, at_zero, AT_THE_DESK)
 
 
 def meant(row: FittedParameter) -> str:
@@ -442,34 +424,39 @@ def allowed_range(row: FittedParameter) -> str:
     return f"{interval(factor * row.lower, factor * row.upper)} {unit}".rstrip()
 
 
-def second_marker(outcome: RunOutcome) -> list[Advice]:
+def second_marker(outcome: RunOutcome) -> Iterator[Advice]:
     """A correlation between the last link and the only marker is resolved by a second marker."""
     markers = [placed.what for placed in outcome.placement if placed.kind == "marker"]
     if len(markers) != 1:
-        return []
+        return
     marker = markers[0]
     places = {row.parameter for row in outcome.identified_parameters if row.part == marker}
     links: set[str] = set()
     for trade in of_kind(outcome, "trade"):
         members = places & set(trade.parameters)
         links |= set(trade.parameters) - members if members else set()
-    sentence = (
-        f"To separate {spoken(sorted(links), outcome, 3)} from the position of marker {marker}, measure two or three markers on "
-        "the tool, far apart."
-    )
-    return advise(3, sentence, where=links, effort=WITH_MORE, poses=MOST_NEXT_POSES)
+    if links:
+        sentence = (
+            f"To separate {spoken(sorted(links), outcome, 3)} from the position of marker {marker}, measure two or three markers "
+            "on the tool, far apart."
+        )
+        yield Advice(3, sentence, WITH_MORE, poses=MOST_NEXT_POSES)
 
 
-def unseen_compliance(outcome: RunOutcome) -> list[Advice]:
+def unseen_compliance(outcome: RunOutcome) -> Iterator[Advice]:
     """The compliance of a joint that no load turned stays undetermined."""
     compliant = {row.parameter: row.part for row in outcome.identified_parameters if row.unit in LOAD_DRIVEN}
-    unseen = [name for statement in of_kind(outcome, "silent") for name in statement.parameters if name in compliant]
-    joints, whose = listed([part_words(compliant[name]) for name in unseen], 8), "its" if len(unseen) == 1 else "their"
-    sentence = (
-        f"The measured loads do not twist {joints}, so {whose} compliance stays unknown. That does no harm under such loads. To "
-        "measure it, apply a known side force."
-    )
-    return advise(3, sentence, where=unseen, effort=WITH_MORE, poses=REACHING)
+    silent = [name for statement in of_kind(outcome, "silent") for name in statement.parameters]
+    if unseen := [name for name in silent if name in compliant]:
+        joints, whose = (
+            listed([part_words(compliant[name]) for name in unseen], 8),
+            "its" if len(unseen) == 1 else "their",
+        )
+        sentence = (
+            f"The measured loads do not twist {joints}, so {whose} compliance stays unknown. That does no harm under such loads. "
+            "To measure it, apply a known side force."
+        )
+        yield Advice(3, sentence, WITH_MORE, poses=REACHING)
 
 
 def of_kind(outcome: RunOutcome, kind: str) -> list[Statement]:
@@ -482,25 +469,25 @@ def spoken(names: Sequence[str], outcome: RunOutcome, most: int = 4) -> str:
     return listed([words.get(name, name) for name in names], most)
 
 
-def add_to_the_plan(outcome: RunOutcome) -> list[Advice]:
+def add_to_the_plan(outcome: RunOutcome) -> Iterator[Advice]:
     """Return the additions to the plan for the first page."""
-    gaps = isolability_gaps(outcome.tables[ISOLABILITY_TABLE])[:GAPS_ADVISED]
-    return [Advice(3, f"{first_up(words)}.") for words in gaps]
+    for words in isolability_gaps(outcome.tables[ISOLABILITY_TABLE])[:GAPS_ADVISED]:
+        yield Advice(3, f"{first_up(words)}.")
 
 
-def too_short(outcome: RunOutcome) -> list[Advice]:
+def too_short(outcome: RunOutcome) -> Iterator[Advice]:
     """A chain that is too short is to be extended."""
-    summary = outcome.chain_summary
-    sentence = f"The sampling is too short: about {summary.missing_steps} more steps are needed."
-    return advise(2, sentence, summary.missing_steps, AT_THE_DESK, lengthen(summary))
+    if missing := outcome.chain_summary.missing_steps:
+        sentence = f"The sampling is too short: about {missing} more steps are needed."
+        yield Advice(2, sentence, AT_THE_DESK, lengthen(outcome.chain_summary))
 
 
-def ensembles_disagree(outcome: RunOutcome) -> list[Advice]:
+def ensembles_disagree(outcome: RunOutcome) -> Iterator[Advice]:
     """Ensembles that disagree have not explored the whole posterior."""
     apart = int((outcome.tables["sample/posterior.csv"]["rhat"] > ENSEMBLES_AGREE).sum())
-    sentence = f"Do not trust the sampled intervals yet: the ensembles disagree on {plural(apart, 'parameter')}. Sample longer."
-    disagree, keys = apart and not outcome.chain_summary.missing_steps, "max_steps under [stages.sample]"
-    return advise(2, sentence, where=disagree, effort=AT_THE_DESK, keys=keys)
+    if apart and not outcome.chain_summary.missing_steps:
+        sentence = f"Do not trust the sampled intervals yet: the ensembles disagree on {plural(apart, 'parameter')}. Sample longer."
+        yield Advice(2, sentence, AT_THE_DESK, "max_steps under [stages.sample]")
 
 
 def lengthen(summary: ChainSummary) -> str:
@@ -509,14 +496,15 @@ def lengthen(summary: ChainSummary) -> str:
     return f"max_steps = {longer} under [stages.sample]; it resumes where it stopped"
 
 
-def too_narrow(outcome: RunOutcome) -> list[Advice]:
+def too_narrow(outcome: RunOutcome) -> Iterator[Advice]:
     """Limits exceeded by significantly more held-out errors than predicted are too narrow."""
     certainty = outcome.certainty
-    sentence = (
-        f"Only {certainty.within} of {certainty.tested} held-out errors are within their {percent(PROMISED)} limits: the "
-        "standard deviations are too small. Something varies that the model or the fitted poses lack."
-    )
-    return advise(2, sentence, where=certainty.within_chance <= SURPRISE)
+    if certainty.within_chance <= SURPRISE:
+        sentence = (
+            f"Only {certainty.within} of {certainty.tested} held-out errors are within their {percent(PROMISED)} limits: the "
+            "standard deviations are too small. Something varies that the model or the fitted poses lack."
+        )
+        yield Advice(2, sentence)
 
 
 # By the table or summary that the rules depend on; its stage writes all else that they read.
