@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -11,6 +12,8 @@ from calflow.files.deferred import Rotation
 
 Turn = Literal["quaternion", "zyx", "xyz", "vector"]
 NOWHERE = np.eye(4)
+MILLIMETRES, DEGREES = (1e-3,) * 3, (np.pi / 180,) * 3
+UNIT_LENGTH = 1e-3  # tolerance of a quaternion's norm, as makers allow
 EULER = {"zyx": "ZYX", "xyz": "xyz"}
 LOCKED = 1e-9  # cosine of the middle angle below which the other two turn about the same axis
 
@@ -27,6 +30,27 @@ def pose_matrix(values: Sequence[float] | np.ndarray, turn: Turn) -> np.ndarray:
     else:
         matrix[:3, :3] = Rotation.from_euler(EULER[turn], figures).as_matrix()
     return matrix
+
+
+@dataclass(frozen=True)
+class Notation:
+    """A maker's notation of a pose: rotation parameters, factor of each number to SI, and the order in words."""
+
+    turn: Turn
+    scales: tuple[float, ...]
+    words: str
+
+    def pose(self, numbers: Sequence[float] | np.ndarray) -> np.ndarray:
+        """Return the transform (4, 4) of the numbers of a pose."""
+        return pose_matrix(np.multiply(numbers, self.scales), self.turn)
+
+
+NOTATIONS: Mapping[str, Notation] = {
+    "rapid": Notation("quaternion", (*MILLIMETRES, 1.0, 1.0, 1.0, 1.0), "x,y,z,q1,q2,q3,q4 in mm"),
+    "krl": Notation("zyx", (*MILLIMETRES, *DEGREES), "X,Y,Z,A,B,C in mm and degrees"),
+    "fanuc": Notation("xyz", (*MILLIMETRES, *DEGREES), "X,Y,Z,W,P,R in mm and degrees"),
+    "urscript": Notation("vector", (1.0,) * 6, "x,y,z,rx,ry,rz in m and radians"),
+}
 
 
 def pose_values(matrix: np.ndarray, turn: Turn, like: np.ndarray) -> np.ndarray:

@@ -11,13 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
-from calflow.deployment.conventions import inverse
+from calflow.deployment.conventions import UNIT_LENGTH, inverse
 from calflow.files.problems import InputError, Problem
 from calflow.programs.calibrated_robot import Axes
 from calflow.programs.edits import Edit, declared_again
 from calflow.programs.target import Program, Reason, Skipped, Target, Use
 
-UNIT_LENGTH = 1e-3  # tolerance of a quaternion's norm, as makers allow
 LONGEST_NAME = 24  # characters that every maker allows
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from calflow.deployment.conventions import NOWHERE, Turn, pose_matrix
+from calflow.deployment.conventions import NOTATIONS, NOWHERE
 from calflow.files.problems import Problem
 from calflow.programs.syntax import Grammar, Node, TreeBuilder, branch, leaves, lines_in, refusal
 from calflow.programs.target import External, FanucConfiguration, Flag, Number, Program, Skipped, Target, Use
@@ -27,6 +27,7 @@ PARTS = re.compile(r"[^\s=]+")
 CONFIG = re.compile(r"'\s*([NF])\s*([UD])\s*([TB])\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*'")
 COMPONENTS = ("X", "Y", "Z", "W", "P", "R")
 REMOTE = tuple(f"R{name}" for name in COMPONENTS)  # coordinates of a stationary (remote) tool
+NOTATION = NOTATIONS["fanuc"]
 UNITS = {"mm": 1e-3, "deg": np.pi / 180}
 INSTRUCTION = re.compile(r"\s*(?:\d*\s*:|-* *;)")  # start of a line of /MN
 MOTION = re.compile(r"\s*\d*\s*:\s*[JLCAS]\s*PR?\[|\s*:\s*PR?\[")  # a circular motion continues in the next line
@@ -104,8 +105,7 @@ def _entries(table: str) -> Iterator[tuple[str, np.ndarray]]:
     for number, entry in ENTRY.findall(table):
         given = {name: float(value) for name, value in COORDINATE.findall(entry)}
         if set(given) == set(COMPONENTS):
-            values = [given[name] * (UNITS["mm"] if name in "XYZ" else UNITS["deg"]) for name in COMPONENTS]
-            yield number, pose_matrix(values, "xyz")
+            yield number, NOTATION.pose([given[name] for name in COMPONENTS])
 
 
 @dataclass(frozen=True)
@@ -201,7 +201,7 @@ def _group(group: Node, name: str, line: int) -> Target | Skipped:
     if [*pose] != wanted:
         expected, found = ", ".join(wanted), ", ".join(pose)
         raise refusal(f"{name}: expected {expected} in this order, found {found}", coordinates[-1].line)
-    if configuration and [number.scale for number in pose.values()] != [UNITS["mm"]] * 3 + [UNITS["deg"]] * 3:
+    if configuration and tuple(number.scale for number in pose.values()) != NOTATION.scales:
         raise refusal(f"{name}: expected X, Y and Z in mm and W, P and R in deg", coordinates[-1].line)
     if any(number.text.startswith("*") for number in pose.values()):
         return Skipped(name, line, "never taught", "was never taught")
@@ -212,7 +212,7 @@ def _group(group: Node, name: str, line: int) -> Target | Skipped:
         for key, number in given.items()
         if key not in pose and not number.text.startswith("*")
     }
-    turn: Turn | None = "xyz" if configuration else None
+    turn = NOTATION.turn if configuration else None
     return Target(name, line, tuple(pose.values()), turn, configuration, (Use(tool.text, frame.text),), external)
 
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from calflow.deployment.conventions import Turn, pose_matrix
+from calflow.deployment.conventions import NOTATIONS, UNIT_LENGTH
 from calflow.deployment.prediction import Missing
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.needed_conditions import check_payload_stated, check_stated
@@ -22,7 +22,7 @@ from calflow.files.problems import InputError, nearest, refuse, unknown_name
 from calflow.files.toml import checked_arguments
 from calflow.files.units import split_unit, to_si
 from calflow.measurements.measurements import Measurements
-from calflow.programs.aims import UNIT_LENGTH, FilterSettings, all_targets
+from calflow.programs.aims import FilterSettings, all_targets
 from calflow.programs.backup import is_backup, read_files
 from calflow.programs.calibrated_robot import CalibratedRobot
 from calflow.programs.correction import Filtered, filtered, skipped_row
@@ -36,13 +36,6 @@ COUPLED = (
 )
 
 
-# Each maker's notation of a pose: rotation parameters, factors of lengths and angles to SI, and the order in words.
-NOTATIONS: Mapping[Maker, tuple[Turn, float, float, str]] = {
-    "rapid": ("quaternion", 1e-3, 1.0, "x,y,z,q1,q2,q3,q4 in mm"),
-    "krl": ("zyx", 1e-3, np.pi / 180, "X,Y,Z,A,B,C in mm and degrees"),
-    "fanuc": ("xyz", 1e-3, np.pi / 180, "X,Y,Z,W,P,R in mm and degrees"),
-    "urscript": ("vector", 1.0, 1.0, "x,y,z,rx,ry,rz in m and radians"),
-}
 CONDITIONS = ("time", "temperature")  # one value holds for a whole program
 GO_ON = (
     "--in-order derives approach and travel from the order of the moves, --condition states time_s=… and temperature_degC=…; "
@@ -81,18 +74,17 @@ def stated_frame(maker: Maker, text: str, key: str) -> np.ndarray:
     Raises:
         InputError: the text is not such a pose.
     """
-    turn, length, angle, notation = NOTATIONS[maker]
+    notation = NOTATIONS[maker]
     words = [word for word in re.split(r"[\s,;\[\]{}()]+", text) if word]
     try:
         values = np.array([float(word) for word in words])
     except ValueError:
         values = np.array([np.nan])
-    wanted = 7 if turn == "quaternion" else 6
-    if len(values) != wanted or not np.isfinite(values).all():
-        raise refuse(f"expected {notation}, found '{text.strip()}'", key=key)
-    if turn == "quaternion" and abs(np.linalg.norm(values[3:]) - 1) > UNIT_LENGTH:
+    if len(values) != len(notation.scales) or not np.isfinite(values).all():
+        raise refuse(f"expected {notation.words}, found '{text.strip()}'", key=key)
+    if notation.turn == "quaternion" and abs(np.linalg.norm(values[3:]) - 1) > UNIT_LENGTH:
         raise refuse(f"expected a quaternion of length 1, found one of {np.linalg.norm(values[3:]):.4g}", key=key)
-    return pose_matrix(values * np.array([length] * 3 + [angle] * (wanted - 3)), turn)
+    return notation.pose(values)
 
 
 @checked_arguments

@@ -9,13 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from calflow.deployment.conventions import NOWHERE, pose_matrix
+from calflow.deployment.conventions import NOTATIONS, NOWHERE
 from calflow.programs.names import GLOBAL, Call, root
 from calflow.programs.statements import INDIRECT, STATIONARY, Destination, Statements
 from calflow.programs.syntax import Grammar, Node, TreeBuilder, branch, leaves, refusal
 from calflow.programs.target import Declaration, External, Flag, KrlConfiguration, Number, Skipped, Target, Use
 
 POSE_TYPES, AXIS_TYPES = ("POS", "E3POS", "E6POS", "FRAME"), ("AXIS", "E3AXIS", "E6AXIS")
+NOTATION = NOTATIONS["krl"]
 COMPONENTS, JOINTS = ("X", "Y", "Z", "A", "B", "C"), ("A1", "A2", "A3", "A4", "A5", "A6")
 EXTERNAL = tuple(f"E{k}" for k in range(1, 7))
 SUFFIXES = (".src", ".dat", ".sub")
@@ -83,9 +84,9 @@ def krl_target(name: str, kind: str, value: Node) -> Target | Skipped:
     if kind in AXIS_TYPES:
         joints = tuple(_number(given[name], np.pi / 180) for name in wanted)
         return Target(name, value.line, joints, None, external=external)
-    numbers = tuple(_number(given[name], 1e-3 if name in "XYZ" else np.pi / 180) for name in wanted)
+    numbers = tuple(_number(given[name], scale) for name, scale in zip(wanted, NOTATION.scales, strict=True))
     configuration = _configuration(name, [(name, given[name]) for name in ("S", "T") if name in given])
-    return Target(name, value.line, numbers, "zyx", configuration, external=external)
+    return Target(name, value.line, numbers, NOTATION.turn, configuration, external=external)
 
 
 def _configuration(name: str, flags: list[tuple[str, Node]]) -> KrlConfiguration | None:
@@ -104,9 +105,7 @@ def frame(value: Node) -> np.ndarray | None:
     given = {item.text: item.items[0] for item in value.items} if value.kind == "list" else {}
     if any(name not in given or given[name].kind != "number" for name in COMPONENTS):
         return None
-    return pose_matrix(
-        [_number(given[name], 1e-3 if name in "XYZ" else np.pi / 180).value for name in COMPONENTS], "zyx"
-    )
+    return NOTATION.pose([float(given[name].text) for name in COMPONENTS])
 
 
 def krl_number(name: str) -> str:

@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from calflow.deployment.conventions import NOWHERE, pose_matrix
+from calflow.deployment.conventions import NOTATIONS, NOWHERE, UNIT_LENGTH
 from calflow.files.deferred import Rotation
 from calflow.programs.names import ALIAS, Call
 from calflow.programs.statements import INDIRECT, Destination, Statements
 from calflow.programs.syntax import Grammar, Node, TreeBuilder, refusal
 from calflow.programs.target import External, Flag, Number, RapidConfiguration, Skipped, Target, Use
 
-UNIT_LENGTH = 1e-3  # tolerance of a quaternion's norm, as ABB allows
+NOTATION = NOTATIONS["rapid"]
 EXTERNAL = 6  # external axes of a target
 # Numbers of values in the lists of a target.
 SHAPES = {"robtarget": [3, 4, 4, EXTERNAL], "jointtarget": [6, EXTERNAL]}
@@ -60,9 +60,9 @@ def rapid_target(name: str, kind: str, value: Node) -> Target | Skipped:
         if re.fullmatch(r"[+-]?\d+(?:\.0*)?(?:[eE][+]?0+)?", item.text) is None:
             raise refusal(f"{name}: expected a whole number in its configuration, found '{item.text}'", item.line)
     flags = tuple(Flag(item.start, item.end, str(int(float(item.text)))) for item in groups[2].items)
-    place = [_number(item, 1e-3) for item in groups[0].items]
-    turn = [_number(item, 1.0) for item in groups[1].items]
-    return Target(name, value.line, (*place, *turn), "quaternion", RapidConfiguration(flags), external=external)
+    items = (*groups[0].items, *groups[1].items)
+    numbers = tuple(_number(item, scale) for item, scale in zip(items, NOTATION.scales, strict=True))
+    return Target(name, value.line, numbers, NOTATION.turn, RapidConfiguration(flags), external=external)
 
 
 def _tool(value: Node) -> np.ndarray | None:
@@ -87,10 +87,9 @@ def _pose(value: Node) -> np.ndarray | None:
     items = [item for group in value.items for item in group.items]
     if any(item.kind != "number" for item in items):
         return None
-    scales = (1e-3,) * 3 + (1.0,) * 4
-    values = np.array([_number(item, scale).value for item, scale in zip(items, scales, strict=True)])
+    values = np.array([_number(item, 1.0).written for item in items])
     usual = np.isfinite(values).all() and abs(np.linalg.norm(values[3:]) - 1) < UNIT_LENGTH
-    return pose_matrix(values, "quaternion") if usual else None
+    return NOTATION.pose(values) if usual else None
 
 
 def _shape(value: Node) -> list[int]:

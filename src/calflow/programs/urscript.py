@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from calflow.deployment.conventions import NOWHERE, Turn, inverse, pose_matrix
+from calflow.deployment.conventions import NOTATIONS, NOWHERE, inverse
 from calflow.programs.names import Call
 from calflow.programs.statements import Destination, Statements
 from calflow.programs.syntax import Grammar, Node, TreeBuilder, branch, leaf, refusal
@@ -22,6 +22,7 @@ BARE = ("sync", "enter_critical", "exit_critical", "stopj", "textmsg")  # statem
 MANUAL_MOVES = ("servoj", "servoc", "speedj", "speedl", "servoi")
 COMPOSED = ("pose_trans", "pose_add")
 BASE = "base"
+NOTATION = NOTATIONS["urscript"]
 # A script begins with a definition, or a call of a move or of a setting.
 BEGINS = re.compile(
     r"(?:\xef\xbb\xbf)?(?:\s|#[^\r\n]*)*"
@@ -254,7 +255,7 @@ class UrScript(Statements):
             return None
         if value.start not in self.poses:
             numbers = [self.number(item) for item in value.items]
-            pose = None if None in numbers else pose_matrix(np.array(numbers, dtype=float), "vector")
+            pose = None if None in numbers else NOTATION.pose(np.array(numbers, dtype=float))
             self.poses[value.start] = pose
         return self.poses[value.start]
 
@@ -276,7 +277,7 @@ class UrScript(Statements):
         if len(value.items) != 6:
             raise refusal(f"{name}: expected 6 values, found {len(value.items)}", value.line)
         numbers = _numbers(value, value.kind)
-        turn: Turn | None = None if value.kind == "list" else "vector"
+        turn = None if value.kind == "list" else NOTATION.turn
         return (
             Target(name, value.line, numbers, turn) if numbers else Skipped(name, value.line, "computed", "is computed")
         )
