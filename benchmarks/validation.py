@@ -56,7 +56,7 @@ def is_right(known: Known, model: str, poses: int, further: int, fitted: bool, r
     measured, expected = seen(known.true[own], rng), known.expected[model][own]
     error = measured - expected
     if fitted:
-        error = Alignment.best(measured[:poses], expected[:poses], np.ones(poses)).of(measured) - expected
+        error = Alignment.best(measured[:poses], expected[:poses]).of(measured) - expected
         error[:poses] = errors_left_out(measured[:poses], expected[:poses], np.arange(poses))
     size = np.linalg.norm(error, axis=1)
     limit = Errors.of(size[:poses], 1.0 if fitted else 0.0).reached_by(STATED, further)

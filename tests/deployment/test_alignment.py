@@ -17,7 +17,7 @@ def test_a_motion_is_found_and_undone():
     expected = rng.uniform(-1, 1, (8, 3))
     turn = Rotation.from_rotvec([0.3, -0.2, 1.0])
     measured = turn.apply(expected) + np.array([5.0, 1.0, -2.0])
-    found = Alignment.best(measured, expected, np.ones(8))
+    found = Alignment.best(measured, expected)
     np.testing.assert_allclose(found.of(measured), expected, atol=1e-12)
     assert abs(found.angle - turn.magnitude()) < 1e-9
 
@@ -28,7 +28,7 @@ def test_errors_are_as_large_as_before_the_frame_was_fitted():
     expected = rng.uniform(-1, 1, (5, 3))
     left, made = [], []
     for noise in 1e-3 * rng.standard_normal((400, 5, 3)):
-        fit = Alignment.best(expected + noise, expected, np.ones(5))
+        fit = Alignment.best(expected + noise, expected)
         error = fit.of(expected + noise) - expected
         left.append((error**2).mean())
         made.append((restored(error, expected) ** 2).mean())
@@ -45,7 +45,7 @@ def test_a_pose_left_out_errs_as_a_further_one_does():
     for noise in 1e-3 * rng.standard_normal((600, 12, 3)):
         noise[1:10:2] = noise[0:10:2]  # the two points of a pose err alike
         measured = expected + noise
-        frame = Alignment.best(measured[near], expected[near], np.ones(10))
+        frame = Alignment.best(measured[near], expected[near])
         left_out.append((errors_left_out(measured[near], expected[near], pose) ** 2).mean())
         further.append(((frame.of(measured[later]) - expected[later]) ** 2).mean())
     assert 0.9 < np.mean(left_out) / np.mean(further) < 2.0

@@ -46,9 +46,9 @@ class Alignment:
     shift: np.ndarray
 
     @staticmethod
-    def best(measured: np.ndarray, expected: np.ndarray, weight: np.ndarray) -> Alignment:
-        """Return the motion of measured onto expected points (n, 3) [m] by weighted least squares (Kabsch 1976)."""
-        share = weight / weight.sum()
+    def best(measured: np.ndarray, expected: np.ndarray) -> Alignment:
+        """Return the motion of measured onto expected points (n, 3) [m] by least squares (Kabsch 1976)."""
+        share = np.full(len(measured), 1 / len(measured))
         centre, aim = share @ measured, share @ expected
         turn, _ = Rotation.align_vectors(expected - aim, measured - centre, weights=share)
         return Alignment(turn.as_matrix(), aim - turn.apply(centre))
@@ -119,7 +119,7 @@ def errors_left_out(measured: np.ndarray, expected: np.ndarray, pose: np.ndarray
     for name in np.unique(pose):
         members = pose == name
         if can_align(measured[~members]):
-            frame = Alignment.best(measured[~members], expected[~members], np.ones((~members).sum()))
+            frame = Alignment.best(measured[~members], expected[~members])
             centred[members] = frame.of(measured[members]) - expected[members]
     return centred
 
@@ -282,7 +282,7 @@ class Attained:
                     f"the device's frame cannot be fitted: {named} {rows.sum()} points; expected at least {FEWEST_FOR_FRAME} that "
                     "are not on one line, or say that the station stands where it stood (--station known)"
                 )
-            alignments.append(Alignment.best(self.measured[rows], self.expected[model][rows], np.ones(rows.sum())))
+            alignments.append(Alignment.best(self.measured[rows], self.expected[model][rows]))
         return tuple(alignments)
 
     def errors(self, model: str, fitted: np.ndarray) -> np.ndarray:

@@ -238,7 +238,7 @@ class CheckProblem:
                         "the device's frame cannot be fitted to so few check poses, or they lie on one line: expected at "
                         "least 4 a session, or say that the station stands where it stood (--station known)"
                     )
-                seen[there] = Alignment.best(seen[there], points[there], np.ones(there.sum())).of(seen[there])
+                seen[there] = Alignment.best(seen[there], points[there]).of(seen[there])
                 frame = rigid_slope(points).reshape(len(covariance), 6) * np.repeat(there, 3)[:, None] * ANYWHERE
                 covariance += frame @ frame.T
         error, of_session = (seen - points).ravel(), np.repeat(session, 3)
