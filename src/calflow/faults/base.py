@@ -135,6 +135,13 @@ def fault(
     )
 
 
+def faulty_rows(
+    cause: str, data: Measurements, rows: Sequence[int] | np.ndarray, action: Action, statement: str
+) -> Fault:
+    """Return a fault of rows (from 0) without a correction, which are left out or only reported (see `fault`)."""
+    return fault(cause, data, 0, [Correction(int(row) + 1) for row in rows], action, statement)
+
+
 def correct(data: Measurements, fault: Fault) -> Measurements:
     """Return the rows with a fault corrected, or with its rows excluded from every split."""
     before, table = data.table, data.table.copy()

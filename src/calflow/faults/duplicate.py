@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calflow.faults.base import Correction, Fault, fault, lines_in_words
+from calflow.faults.base import Fault, faulty_rows, lines_in_words
 from calflow.files.deferred import pd
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import IN_ORDER, SIGMAS, condition_columns, numbered
@@ -34,7 +34,7 @@ def duplicate(data: Measurements) -> tuple[Fault, ...]:
         f"LINES: identical to the last digit to {written}: one observation written several times; it counts once; remove the "
         "copies from the file"
     )
-    return (fault("duplicate", data, 0, [Correction(int(row) + 1) for row in copies], "left out", statement),)
+    return (faulty_rows("duplicate", data, copies, "left out", statement),)
 
 
 def rows_held_by(before: Measurements, data: Measurements) -> np.ndarray:

@@ -20,7 +20,7 @@ from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.leverage import Studentised
 from calflow.estimation.noise import measured_noise, median_length
 from calflow.estimation.registration import in_measuring_frame, registered
-from calflow.faults.base import Correction, Fault, fault
+from calflow.faults.base import Fault, faulty_rows
 from calflow.faults.reference import EQUATIONS, Reference
 from calflow.faults.rough import GROSS, LEAST_GROSS, RobustFit
 from calflow.files.units import METRE, MeasurementUnit
@@ -176,7 +176,7 @@ def _flipped_images(
                 f"the target's points are numbered {how} in {mended.sum()} image{'s' if mended.sum() > 1 else ''} "
                 "(LINES); left out; number them as in the others"
             )
-            faults.append(fault(FLIPPED, data, 0, [Correction(int(row) + 1) for row in rows], "left out", statement))
+            faults.append(faulty_rows(FLIPPED, data, rows, "left out", statement))
     return tuple(faults)
 
 
@@ -188,7 +188,7 @@ def _excluded(
         f"{what} is {_range(unit.shown(far))} {unit.label} off from the fit of all other rows, whose median error is "
         f"{unit.words(usual, '.2g')}; left out; measure again or correct the file"
     )
-    return fault("outlier", data, 0, [Correction(int(row) + 1) for row in np.flatnonzero(off)], "left out", statement)
+    return faulty_rows("outlier", data, np.flatnonzero(off), "left out", statement)
 
 
 def limit_of_length(values: np.ndarray) -> float:
@@ -269,8 +269,7 @@ def odd_rows(result: Fit, data: Measurements, studentised: Studentised) -> tuple
         f"the measured values in LINES do not fit the final model: off by {' or '.join(off)}, {_range(times, 2)} times the "
         "expected; they have little weight in the fit, but count in the accuracy: measure again"
     )
-    corrections = [Correction(int(row) + 1) for row in np.flatnonzero(odd)]
-    return odd, (fault("outlier", data, 0, corrections, "told", statement),)
+    return odd, (faulty_rows("outlier", data, np.flatnonzero(odd), "told", statement),)
 
 
 def _range(values: np.ndarray, digits: int = 3) -> str:

@@ -7,7 +7,7 @@ from functools import reduce
 
 import numpy as np
 
-from calflow.faults.base import Correction, Fault, correct, fault
+from calflow.faults.base import Correction, Fault, correct, fault, faulty_rows
 from calflow.faults.reference import Reference
 from calflow.faults.rough import RobustFit, motion, rigid_errors, rigid_sums, split_errors
 from calflow.faults.segments import state_cost, states
@@ -54,7 +54,7 @@ def _shifted(data: Measurements, source: np.ndarray) -> tuple[Fault, ...]:
     alone = np.flatnonzero(source < 0)
     if len(alone):
         lost = "no position belongs to these readings (LINES), since positions are shifted; left out"
-        faults.append(fault("row-misalignment", data, 0, [Correction(int(row) + 1) for row in alone], "left out", lost))
+        faults.append(faulty_rows("row-misalignment", data, alone, "left out", lost))
     return tuple(faults)
 
 
@@ -76,7 +76,7 @@ def lost_rows(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
         "positions and readings do not belong together (LINES), and no shift of the rows corrects that; left out; "
         "check how these rows came into the file"
     )
-    return (fault("row-misalignment", data, 0, [Correction(row + 1) for row in rows], "left out", statement),)
+    return (faulty_rows("row-misalignment", data, rows, "left out", statement),)
 
 
 def _lags(data: Measurements) -> list[int]:
