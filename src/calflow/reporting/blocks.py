@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from calflow.files.deferred import pd
+from calflow.files.words import first_up
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -199,6 +200,16 @@ def cover(
         Gap(10),
         *(side_by_side if cards else ()),
     ]
+
+
+def in_a_line(*facts: str) -> str:
+    """Return the facts that are there, beside each other."""
+    return "  ·  ".join(filter(None, facts))
+
+
+def noted(heading: str, notes: Sequence[str]) -> list[Block]:
+    """Return notes as a list of sentences under a heading, none without notes."""
+    return headed(heading, Bullets([first_up(f"{note}.") for note in notes], 9.5), where=notes)
 
 
 def listing(items: Sequence[Item]) -> list[Block]:

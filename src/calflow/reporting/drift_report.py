@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from calflow.deployment.drift import Drift, Moved, Recalibrated, Status
 from calflow.files.words import first_up, listed, mm, plural, quantity, readable, rounded, with_sd
 from calflow.reporting.advice import after_drift
-from calflow.reporting.blocks import NEXT, Bullets, Paragraph, Part, Plot, Table, cover, headed
+from calflow.reporting.blocks import NEXT, Paragraph, Part, Plot, Table, cover, headed, in_a_line, noted
 from calflow.reporting.style import ACCENT, DARK, MIDDLE, figure, name_poses
 
 VERDICTS: dict[Status, str] = {
@@ -31,15 +31,14 @@ def drift_report(drift: Drift, title: str, file: str) -> list[Part]:
     """Return the parts of a drift check's report; file is the name of the check poses."""
     summary = drift.summary
     poses = len({pose.pose for pose in drift.poses})  # each with a row a marker
-    measured = f"{file}  ·  {plural(poses, 'check pose')}  ·  {plural(summary.sessions, 'session')}"
-    notes = [first_up(f"{note}.") for note in summary.notes]
+    measured = in_a_line(file, plural(poses, "check pose"), plural(summary.sessions, "session"))
     blocks = [
         *cover("Drift check", title, [Paragraph(measured)], VERDICTS[summary.status], drift_lines(drift)[1:]),
         *headed(NEXT, Paragraph(after_drift(drift), 11)),
         Plot("check_poses", _check_poses(drift)),
         *headed("The smallest recalibration", _recalibration(drift), where=drift.recalibration),
         *(headed("Poses that would settle it", _next_poses(drift)) if drift.next_poses else ()),
-        *headed("What was assumed", Bullets(notes, 9.5), where=notes),
+        *noted("What was assumed", summary.notes),
     ]
     return [("", blocks), ("What was tested", [Paragraph(EACH_ALONE, 9.5), _tested(drift)])]
 

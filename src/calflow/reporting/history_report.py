@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from calflow.deployment.history import History, MovedParameter, ParameterInRun, Verdict
 from calflow.files.words import effect_words, first_up, listed, plural, quantity, readable, rounded
-from calflow.reporting.blocks import Bullets, Paragraph, Part, Plot, Table, cover, headed
+from calflow.reporting.blocks import Paragraph, Part, Plot, Table, cover, headed, in_a_line, noted
 from calflow.reporting.style import ACCENT, DARK, panels, turned
 
 VERDICTS: dict[Verdict, str] = {
@@ -27,14 +27,13 @@ CAPTION = (
 
 def history_report(history: History, title: str) -> list[Part]:
     """Return the parts of a history's report."""
-    runs = f"{plural(len(history.runs), 'calibration')}  ·  {history.runs[0].run} to {history.runs[-1].run}"
-    notes = [first_up(f"{note}.") for note in history.notes]
+    runs = in_a_line(plural(len(history.runs), "calibration"), f"{history.runs[0].run} to {history.runs[-1].run}")
     return [("", [
         *cover("History of a robot", title, [Paragraph(runs)], VERDICTS[history.status], history_lines(history)[1:]),
         *([Plot("history", _course(history), CAPTION, history.results.tables["parameters.csv"])] if history.parameters else []),
         *headed("What moved", _moved_table(history), where=history.moved),
         *headed("From run to run", _runs(history)),
-        *headed("What was left out", Bullets(notes, 9.5), where=notes),
+        *noted("What was left out", history.notes),
     ])]  # fmt: skip
 
 

@@ -11,9 +11,9 @@ from matplotlib.ticker import FuncFormatter
 
 from calflow.deployment.attained import CYCLES
 from calflow.deployment.validation import Status, ValidatedModel, Validation, ValidationSummary
-from calflow.files.words import capped, first_up, mm, plural
+from calflow.files.words import capped, mm, plural
 from calflow.reporting.advice import after_validation
-from calflow.reporting.blocks import NEXT, Bullets, Card, Gap, Paragraph, Part, Plot, Table, cover, headed
+from calflow.reporting.blocks import NEXT, Card, Gap, Paragraph, Part, Plot, Table, cover, headed, in_a_line, noted
 from calflow.reporting.sections.acceptance import FAILED, NOT_YET, PASSED, sign_card
 from calflow.reporting.style import ACCENT, DARK, MIDDLE, figure, name_poses
 
@@ -43,7 +43,7 @@ VERDICTS: dict[Status, str] = {
 def validation_report(validation: Validation, title: str, file: str) -> list[Part]:
     """Return the parts of a validation's report; file is the name of the measurements."""
     summary, judged = validation.summary, validation.judged
-    measured = f"{file}  ·  {plural(summary.poses, 'pose')}  ·  {plural(summary.rows, 'measured point')}"
+    measured = in_a_line(file, plural(summary.poses, "pose"), plural(summary.rows, "measured point"))
     cards = [
         Card(NAMES[row.model], mm(row.mean), f"largest {mm(row.max)} {row.unit}", "dark" if row is judged else "pale")
         for row in validation.accuracy
@@ -57,7 +57,7 @@ def validation_report(validation: Validation, title: str, file: str) -> list[Par
         Gap(12),
         _statistics(validation.accuracy),
         Plot("poses", _errors_by_pose(validation)),
-        *headed("What was assumed", Bullets([first_up(f"{note}.") for note in (_frame(summary), *summary.notes)], 9.5)),
+        *noted("What was assumed", (_frame(summary), *summary.notes)),
     ]
     fewer = f" The standard has {CYCLES} cycles; here a pose has {summary.fewest_cycles} at least."
     of_positions = POSE_ERROR + fewer * (summary.fewest_cycles < CYCLES)

@@ -9,7 +9,7 @@ import scipy
 from calflow.deployment.usability import is_useless
 from calflow.files.deferred import pd
 from calflow.files.words import listed, mm, percent, plural
-from calflow.reporting.blocks import Block, Card, Look, Paragraph, Signatures, Table
+from calflow.reporting.blocks import Block, Card, Look, Paragraph, Signatures, Table, in_a_line
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
 from calflow.study import Acceptance, StudyFile
@@ -98,7 +98,7 @@ def identity(request: StudyFile) -> str:
     """Return a line on robot, date, instrument and operator, as far as the study states them, and what is missing."""
     verb, missing = "simulated" if is_simulated(request) else "measured", unstated(request)
     stated = [f"{verb if name == 'date' else name} {value}" for name, value in _facts(request).items() if value]
-    return "  ·  ".join([*stated, *([f"not stated: {', '.join(missing)}"] if missing else [])])
+    return in_a_line(*stated, f"not stated: {', '.join(missing)}" if missing else "")
 
 
 def held_against_tolerance(material: Material) -> Judged | None:

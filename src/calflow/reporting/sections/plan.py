@@ -30,6 +30,7 @@ from calflow.reporting.blocks import (
     RestOfPage,
     Table,
     cover,
+    in_a_line,
 )
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
@@ -184,14 +185,13 @@ def _held_out(material: Material, how_many: HowMany) -> list[Item]:
 def _planned(material: Material) -> str:
     poses, robot = material.tables["select/poses.csv"], material.robot
     loads = [str(load) for load in poses["payload"].dropna().unique() if load]
-    parts = [
+    return in_a_line(
         f"Robot: {robot.name}",
         plural(len(poses), "pose"),
         f"marker {listed(list(poses['marker'].astype(str).unique()), 3)}",
-        *([f"payload {listed(loads, 3)}"] if loads else []),
+        f"payload {listed(loads, 3)}" if loads else "",
         "1 sd, root mean square over the task; nothing is measured yet",
-    ]
-    return "  ·  ".join(parts)
+    )
 
 
 def _gaps(outcome: RunOutcome) -> list[Item]:

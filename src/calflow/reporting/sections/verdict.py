@@ -34,6 +34,7 @@ from calflow.reporting.blocks import (
     Table,
     cover,
     headed,
+    in_a_line,
 )
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
@@ -180,18 +181,13 @@ def _stages_left_out(material: Material) -> list[str]:
 def _measured(material: Material) -> str:
     summary = material.summary
     robot, used = material.robot, material.certainty
-    parts = [
+    return in_a_line(
         robot.name,
         f"{plural(summary.training_poses, 'pose')} used for the fit, {summary.heldout_poses} held out",
         f"{plural(used.points, 'measured point')}",
         f"{'marker' if len(used.markers) == 1 else 'markers'} {listed(used.markers, 5)}",
-        *(
-            [f"{'payload' if len(used.payloads) == 1 else 'payloads'} {listed(used.payloads, 5)}"]
-            if used.payloads
-            else []
-        ),
-    ]
-    return "  ·  ".join(parts)
+        f"{'payload' if len(used.payloads) == 1 else 'payloads'} {listed(used.payloads, 5)}" if used.payloads else "",
+    )
 
 
 def pose_errors(material: Material, limits: pd.Series | None = None) -> Plot:
