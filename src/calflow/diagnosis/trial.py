@@ -1,4 +1,4 @@
-"""A trial: a fitted model of the stepwise search. Its linearisation scores every candidate beside its causes, or in place of one."""
+"""A trial: a fitted model of the stepwise search. Its linearisation scores candidates beside its causes, or in the place of one."""
 
 from __future__ import annotations
 
