@@ -171,4 +171,4 @@ def test_poses_are_asked_for_the_nearest_of_many_rivals(monkeypatch):
     one, _, told = asked(in_slab, rivals=many)
     assert told["rival_joint"].tolist() == [2, 3, 4]
     assert (told["unasked"].fillna("") != "").tolist() == [False, False, True]
-    assert all(asked.before > 0 for asked in one.separations[:2])
+    assert all(asked.separation_before_sd > 0 for asked in one.separations[:2])

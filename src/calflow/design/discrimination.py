@@ -88,46 +88,6 @@ class SeparationRow:
 
 
 @dataclass(frozen=True)
-class Separation:
-    """The separation of a cause from one rival [sd]: before, and after further poses, either proposed or its own.
-
-    chance: probability of then excluding the rival, or the cause if the rival is true; lacking: what an untestable
-    rival requires; unasked: why no further poses could be sought; wider: whether a wider region would make that
-    possible.
-    """
-
-    rival: Rival
-    before: float = 0.0
-    after: float = 0.0
-    chance: float = 0.0
-    proposed: bool = False
-    lacking: str = ""
-    unasked: str = ""
-    wider: bool = False
-
-    def means(self, cause: Cause) -> str:
-        """Return what to do at the robot if no pose separates cause and rival; empty if poses do."""
-        effect_type = effect_class(self.rival.id)  # None for an unnamed structure
-        told_by = effect_type.told_by if effect_type else ""
-        else_ = ". Or ".join(dict.fromkeys(filter(None, (cause.effect.told_by, told_by)))) or ANY_MEANS
-        if self.unasked:
-            return f"measure in a wider region, or {else_}" if self.wider else else_
-        if self.rival.cause is None:
-            return f"tell them apart by {self.lacking}" if self.lacking else told_by or ANY_MEANS
-        return else_ if self.chance < ENOUGH else ""
-
-    def words(self, cause: Cause) -> str:
-        """Return what to measure, in words."""
-        apart = f"they separate by {self.after:.1f} sd instead of {self.before:.1f}"
-        if self.proposed:
-            return f"measure the {MOST_NEXT_POSES} poses of next_poses.csv: {apart}"
-        if means := self.means(cause):
-            after = self.after if self.rival.cause else None
-            return f"{no_pose_words(cause.id, self.rival.id, after, self.unasked)}: {means}"
-        return f"measure {MOST_NEXT_POSES} further poses, once the other rivals are excluded: {apart}"
-
-
-@dataclass(frozen=True)
 class Plan:
     """Poses that separate a finding from some rivals and, as far as possible, these from each other.
 
@@ -145,10 +105,10 @@ class Plan:
 
 @dataclass(frozen=True)
 class Question:
-    """A finding's rivals, and the poses that would separate it from some of them, if any."""
+    """A finding's separations from its rivals, and the poses that would separate it from some of them, if any."""
 
     cause: Cause
-    separations: tuple[Separation, ...]
+    separations: tuple[SeparationRow, ...]
     plan: Plan | None = None
 
 
@@ -180,62 +140,95 @@ def question(
     separations state why: that is no reason to abort a diagnosis.
     """
     cause = verdict.finding.cause
-    untested = tuple(Separation(rival, lacking=_lacking(rival, fitted)) for rival in verdict.others if not rival.score)
-    rivals = [rival for rival in verdict.others if rival.score]
-    asked, rest = rivals[:MOST_RIVALS], rivals[MOST_RIVALS:]
-    untested += tuple(
-        Separation(rival, unasked=f"poses are sought for the {MOST_RIVALS} nearest rivals only") for rival in rest
-    )
+    untested, tested = ([rival for rival in verdict.others if bool(rival.score) is known] for known in (False, True))
+    asked, rest = tested[:MOST_RIVALS], tested[MOST_RIVALS:]
+    few = f"poses are sought for the {MOST_RIVALS} nearest rivals only"
+    rows = [_separation(cause, rival, means=_means_untested(rival, fitted)) for rival in untested]
+    rows += [_separation(cause, rival, means=_means(cause, rival), unasked=few) for rival in rest]
     if not asked:
-        return Question(cause, untested)
+        return Question(cause, tuple(rows))
     try:
         planned = planned_like(fitted, share)
         choices = among or _choices(fitted, planned.observation, rng)
-        return _asked(verdict.finding, asked, untested, fitted, planned, choices)
+        apart, plan = _asked(verdict.finding, asked, [*untested, *rest], fitted, planned, choices)
     except SOUGHT_IN_VAIN as error:
-        wider = isinstance(error, InputError)
-        reason = error.problems[0].message if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
-        return Question(cause, tuple(Separation(rival, unasked=reason, wider=wider) for rival in asked) + untested)
+        wider, reason = "", f"{type(error).__name__}: {error}"
+        if isinstance(error, InputError):
+            wider, reason = "measure in a wider region, or ", error.problems[0].message
+        apart = [_separation(cause, rival, means=wider + _means(cause, rival), unasked=reason) for rival in asked]
+        plan = None
+    return Question(cause, (*apart, *rows), plan)
 
 
-def _lacking(rival: Rival, fitted: Fitted) -> str:
-    """Return what the data lack for a test of a rival, in plain words."""
-    if not (kind := effect_class(rival.id)):
-        return ""
-    robot, data = fitted.data.robot, fitted.data
-    return " and ".join(ASKED[need].plain for need in kind.asks(robot, data)) or kind.lacking(robot, data)
+def _means(cause: Cause, rival: Rival) -> str:
+    """Return what to do at the robot where no pose separates a cause and a rival."""
+    return ". Or ".join(dict.fromkeys(filter(None, (cause.effect.told_by, _told_by(rival))))) or ANY_MEANS
+
+
+def _told_by(rival: Rival) -> str:
+    kind = effect_class(rival.id)  # None for an unnamed structure
+    return kind.told_by if kind else ""
+
+
+def _means_untested(rival: Rival, fitted: Fitted) -> str:
+    """Return what to do at the robot about a rival that the data cannot test, by what they lack, in plain words."""
+    robot, data, kind = fitted.data.robot, fitted.data, effect_class(rival.id)
+    asks = " and ".join(ASKED[need].plain for need in kind.asks(robot, data)) if kind else ""
+    lacking = asks or (kind.lacking(robot, data) if kind else "")
+    return f"tell them apart by {lacking}" if lacking else _told_by(rival) or ANY_MEANS
+
+
+def _separation(
+    cause: Cause, rival: Rival, before: float = 0.0, after: float = 0.0, chance: float = 0.0, *,
+    proposed: bool = False, means: str = "", unasked: str = "",
+) -> SeparationRow:  # fmt: skip
+    """Return the row of a cause and a rival, separated by so many standard deviations before and after further poses."""
+    apart = f"they separate by {after:.1f} sd instead of {before:.1f}"
+    if proposed:
+        words = f"measure the {MOST_NEXT_POSES} poses of next_poses.csv: {apart}"
+    elif means:
+        words = f"{no_pose_words(cause.id, rival.id, after if rival.cause else None, unasked)}: {means}"
+    else:
+        words = f"measure {MOST_NEXT_POSES} further poses, once the other rivals are excluded: {apart}"
+    return SeparationRow(
+        cause=cause.id, joint=cause.joint or None, rival=rival.id, rival_joint=rival.joint or None,
+        separation_before_sd=before, separation_after_sd=after, chance_after=chance, words=words,
+        proposed=proposed, tested=rival.cause is not None, unasked=unasked, means=means,
+    )  # fmt: skip
 
 
 def _asked(
     finding: Detection[Cause],
     rivals: Sequence[Rival],
-    untested: tuple[Separation, ...],
+    others: Sequence[Rival],
     fitted: Fitted,
     planned: Planned,
     choices: Measurements,
-) -> Question:
-    """Return poses that separate a finding from some rivals."""
+) -> tuple[list[SeparationRow], Plan | None]:
+    """Return how far poses separate a finding from rivals, and those that do; others: rivals for which none are sought."""
     scores = [replace(finding.own, cost=0.0), *(replace(r.score, cost=r.cost) for r in rivals if r.score)]
     criteria = criteria_between(fitted, scores, choices, planned)
     before = {pair: closest(criteria, pair) for pair in combinations(range(len(scores)), 2)}
     alone = {pair: propose(criteria, [pair], MOST_NEXT_POSES)[1][pair] for pair in before}
     chosen, together = _together(criteria, alone)
     after = alone | together
-    separations = tuple(
-        Separation(rival, before[0, k].separation, after[0, k].separation, after[0, k].chance, (0, k) in together)
-        for k, rival in enumerate(rivals, start=1)
-    )
+    rows = []
+    for k, rival in enumerate(rivals, start=1):
+        then, possible = after[0, k], after[0, k].chance >= ENOUGH
+        rows.append(
+            _separation(finding.cause, rival, before[0, k].separation, then.separation, then.chance,
+                        proposed=(0, k) in together, means="" if possible else _means(finding.cause, rival))
+        )  # fmt: skip
     if not together:
-        return Question(finding.cause, separations + untested)
+        return rows, None
     causes: list[Cause | Rival] = [finding.cause, *rivals]
     open_ = [(causes[i], rivals[k - 1]) for i, k in after if (i, k) not in together]
-    open_ += [(finding.cause, separation.rival) for separation in untested]
-    plan = Plan(
+    open_ += [(finding.cause, rival) for rival in others]
+    return rows, Plan(
         replace(choices, table=choices.table.iloc[chosen]), tuple(rivals[k - 1] for i, k in together if i == 0),
         min(before[pair].separation for pair in together), min(criterion.separation for criterion in together.values()),
         min(criterion.chance for criterion in together.values()), tuple(open_),
     )  # fmt: skip
-    return Question(finding.cause, separations + untested, plan)
 
 
 def criteria_between(
@@ -326,17 +319,7 @@ def poses_table(questions: Sequence[Question], fitted: Fitted) -> pd.DataFrame:
 
 def separations_table(questions: Sequence[Question]) -> pd.DataFrame:
     """Return diagnose/separations.csv: the separation of each finding from each rival, and what to do."""
-    rows = [
-        SeparationRow(
-            cause=asked.cause.id, joint=asked.cause.joint or None, rival=separation.rival.id,
-            rival_joint=separation.rival.joint or None, separation_before_sd=separation.before,
-            separation_after_sd=separation.after, chance_after=separation.chance,
-            words=separation.words(asked.cause), proposed=separation.proposed, tested=separation.rival.cause is not None,
-            unasked=separation.unasked, means=separation.means(asked.cause),
-        )
-        for asked in questions for separation in asked.separations
-    ]  # fmt: skip
-    return to_frame(rows, SeparationRow)
+    return to_frame([row for asked in questions for row in asked.separations], SeparationRow)
 
 
 def planned_like(fitted: Fitted, share: float) -> Planned:
