@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from calflow.diagnosis.background import BackgroundBasis
-from calflow.diagnosis.extension import blocks_beside_background, carried_over, left_out_errors, pose_blocks
+from calflow.diagnosis.extension import carried_over, left_out_errors, pose_blocks, with_background
 from diagnosis.found import cause, hidden, start
 from diagnosis.test_unexplained import fitted
 from estimation.data import SIGMA
@@ -15,9 +15,9 @@ def test_a_true_cause_carries_over_to_blocks_that_were_left_out():
     """Fails if left-out blocks are not predicted from the others alone, or a needless cause is said to help there."""
     eccentric, needless = cause("joint-eccentricity", "joint1", order=2), cause("gear-ratio-error", "joint4")
     known = start(hidden([(eccentric, (1.5e-4, -1e-4))])).with_causes([eccentric, needless])
-    kinds = blocks_beside_background(known, BackgroundBasis.of(known))
-    assert all(len(kind) > 3 for kind in kinds)
-    found, not_there = (carried_over(known, one, kinds) for one in known.causes)
+    beside, kinds = with_background(known, BackgroundBasis.of(known)), pose_blocks(known)
+    assert all(len(set(kind)) > 3 for kind in kinds)
+    found, not_there = (carried_over(known, one, beside, kinds) for one in known.causes)
     assert found.holds
     assert found.gain[0] > 20 > abs(not_there.gain[0])
 
@@ -32,11 +32,12 @@ def test_a_smooth_error_does_not_decide_whether_a_cause_carries_over():
         smooth = np.linalg.cholesky(near + 1e-8 * np.eye(len(near))) @ rng.standard_normal((len(near), 3))
         data.table[["x", "y", "z"]] += 5 * SIGMA * smooth
         known = start(data).with_causes([eccentric])
-        row = known.problem.stacking.row
-        alone = [known.alone.split(kind[row]) for kind in pose_blocks(known)]
-        beside = carried_over(known, eccentric, blocks_beside_background(known, BackgroundBasis.of(known)))
+        alone, beside = (
+            carried_over(known, eccentric, model, pose_blocks(known))
+            for model in (known.alone, with_background(known, BackgroundBasis.of(known)))
+        )
         assert beside.holds
-        gained, without = gained + beside.gain[0], without + carried_over(known, eccentric, alone).gain[0]
+        gained, without = gained + beside.gain[0], without + alone.gain[0]
     assert gained > 1.3 * without
 
 
@@ -46,13 +47,14 @@ def test_what_is_missed_is_that_of_a_fit_to_the_other_rows():
     known = start(hidden([(eccentric, (1.5e-4, -1e-4))])).with_causes([eccentric, needless])
     gone = np.array([0, 3])
     value = known.fit.estimate[np.flatnonzero(~known.fit.at_bound)][gone]
-    for blocks in blocks_beside_background(known, BackgroundBasis.of(known)):
-        for kind in (blocks, [block.without(gone, value) for block in blocks]):
-            for k, (out, missed) in enumerate(zip(kind, left_out_errors(kind), strict=True)):
-                others = [*kind[:k], *kind[k + 1 :]]
-                j, e = (np.concatenate([getattr(other, name) for other in others]) for name in ("jacobian", "residual"))
-                change = np.linalg.solve(j.T @ j + np.diag(out.precision), j.T @ e + out.pull)
-                assert np.allclose(missed, out.residual - out.jacobian @ change, atol=1e-8)
+    whole = with_background(known, BackgroundBasis.of(known))
+    for block in pose_blocks(known):
+        for model in (whole, whole.without(gone, value)):
+            for number, missed in zip(np.unique(block), left_out_errors(model, block), strict=True):
+                there = block == number
+                j, e = model.jacobian[~there], model.residual[~there]
+                change = np.linalg.solve(j.T @ j + np.diag(model.precision), j.T @ e + model.pull)
+                assert np.allclose(missed, model.residual[there] - model.jacobian[there] @ change, atol=1e-8)
 
 
 def test_a_curve_in_time_is_not_asked_for_times_that_were_left_out():
@@ -65,8 +67,9 @@ def test_a_curve_in_time_is_not_asked_for_times_that_were_left_out():
     before = fitted(bumped)
     curve = cause("frame-drift", "device", length=0.15, end=float(before.data.table["time"].max()))
     known = before.with_causes([curve])
-    row, (in_joints,) = np.arange(len(known.data)), blocks_beside_background(known, BackgroundBasis.of(known))
-    in_time = known.alone.split((8 * row // len(row))[known.problem.stacking.row])
-    told = carried_over(known, curve, [in_joints, in_time])
+    row, (in_joints,) = np.arange(len(known.data)), pose_blocks(known)
+    in_time = (8 * row // len(row))[known.problem.stacking.row]
+    beside = with_background(known, BackgroundBasis.of(known))
+    told = carried_over(known, curve, beside, [in_joints, in_time])
     assert told.holds
-    assert told.gain == carried_over(known, curve, [in_joints]).gain
+    assert told.gain == carried_over(known, curve, beside, [in_joints]).gain

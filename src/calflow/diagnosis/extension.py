@@ -225,7 +225,7 @@ class CarriedOver:
 
 
 def pose_blocks(fitted: Fitted) -> list[np.ndarray]:
-    """Return the training rows' blocks of poses, near in joint space and, if the order is known, in time; (n_rows,) each."""
+    """Return the residuals' blocks of poses, near in joint space and, if the order is known, in time; (n,) each."""
     data = fitted.data
     first, number = np.unique(fitted.poses, return_index=True, return_inverse=True)[1:]
     levels = min(HALVINGS, int(np.log2(max(len(first) // FEWEST_POSES, 1))))
@@ -234,46 +234,52 @@ def pose_blocks(fitted: Fitted) -> list[np.ndarray]:
     if "order" in data.given:
         rank = np.argsort(np.argsort(data.table["order"].to_numpy(float)[first]))
         kinds.append((rank * 2**levels // len(first))[number])
-    return kinds
+    return [kind[fitted.problem.stacking.row] for kind in kinds]
 
 
-def blocks_beside_background(fitted: Fitted, basis: BackgroundBasis) -> list[list[Regressors[Cause]]]:
-    """Return a fitted model's blocks of poses, a list per kind, linearised beside the background that it leaves.
+def with_background(fitted: Fitted, basis: BackgroundBasis) -> Regressors[Cause]:
+    """Return a fitted model linearised with the background that it leaves.
 
     Otherwise a smooth error several times as large as the noise would decide whether a cause gains.
     """
-    row, left, regressors = fitted.problem.stacking.row, background(fitted, basis), fitted.alone
+    left, regressors = background(fitted, basis), fitted.alone
     if left is not None:  # its amplitudes are further parameters, of their normal prior
         errors = left.correlation(fitted.problem.weight)
         regressors = regressors.with_parameters(errors.modes * np.sqrt(errors.variance), np.ones(len(errors.variance)))
-    return [regressors.split(kind[row]) for kind in pose_blocks(fitted)]
+    return regressors
 
 
-def left_out_errors(blocks: Sequence[Regressors[Cause]]) -> list[np.ndarray]:
-    """Return each block's whitened prediction errors, with parameters fitted to the other blocks."""
-    errors = []
-    for block in blocks:
-        others = [other.products for other in blocks if other is not block]
-        information = np.diag(block.precision) + sum(other.fitted for other in others)
-        change = np.linalg.solve(information, block.pull + sum(other.fitted_left for other in others))
-        errors.append(block.residual - block.jacobian @ change)
+def left_out_errors(model: Regressors[Cause], block: np.ndarray) -> list[np.ndarray]:
+    """Return the whitened prediction errors of each block of residuals (n,), with parameters fitted to the other blocks."""
+    rows = [np.flatnonzero(block == number) for number in np.unique(block)]
+    both = np.column_stack([model.jacobian, model.residual])
+    products, errors = [both[own].T @ both[own] for own in rows], []
+    for k, own in enumerate(rows):
+        others = np.sum(products[:k] + products[k + 1 :], axis=0)
+        change = np.linalg.solve(np.diag(model.precision) + others[:-1, :-1], model.pull + others[:-1, -1])
+        errors.append(model.residual[own] - model.jacobian[own] @ change)
     return errors
 
 
-def carried_over(fitted: Fitted, cause: Cause, kinds: Sequence[Sequence[Regressors[Cause]]]) -> CarriedOver:
-    """Return the gain of a cause of the model at left-out blocks of each kind.
+def carried_over(fitted: Fitted, cause: Cause, beside: Regressors[Cause], kinds: Sequence[np.ndarray]) -> CarriedOver:
+    """Return the gain of a cause of the model, linearised with its background, at left-out blocks (n,) of each kind.
 
     A general smooth function of time cannot predict times that were left out: it is tested on blocks in joint space alone.
     """
-    gains, ratios = [], list[float]()
-    for blocks in kinds[:1] if cause.effect.smooth_in else kinds:
-        without = [block.without(*fitted.own(cause)) for block in blocks]
-        pairs = list(zip(left_out_errors(without), left_out_errors(blocks), strict=True))
+    gains, ratios, without = [], list[float](), beside.without(*fitted.own(cause))
+    for block in kinds[:1] if cause.effect.smooth_in else kinds:
+        pairs = list(zip(left_out_errors(without, block), left_out_errors(beside, block), strict=True))
         gains.append(float(sum(a @ a - b @ b for a, b in pairs)))
         ratios += [np.log(np.abs(a).max() / np.abs(b).max()) for a, b in pairs]
     mean, spread = float(np.mean(ratios)), float(np.std(ratios, ddof=1)) / np.sqrt(len(ratios))
     p = float(scipy.stats.t.cdf(mean / spread, len(ratios) - 1)) if spread > 0 else 1.0
     return CarriedOver(tuple(gains), p)
+
+
+def carrying(fitted: Fitted, basis: BackgroundBasis) -> set[Cause]:
+    """Return the causes of the model that carry over."""
+    beside, kinds = with_background(fitted, basis), pose_blocks(fitted)
+    return {cause for cause in fitted.causes if carried_over(fitted, cause, beside, kinds).holds}
 
 
 def unnamed(
@@ -345,14 +351,12 @@ def weighed(
         found = ended.fitted
         if frozenset(found.causes) == held:
             break
-    against, kinds = unnamed(ended.fitted, basis, catalogue.variants), blocks_beside_background(ended.fitted, basis)
-    judged = tuple(
-        replace(
-            finding, unnamed=against[finding.cause], carries_over=carried_over(ended.fitted, finding.cause, kinds).holds
-        )
+    against, carries = unnamed(ended.fitted, basis, catalogue.variants), carrying(ended.fitted, basis)
+    judged = (
+        replace(finding, unnamed=against[finding.cause], carries_over=finding.cause in carries)
         for finding in ended.findings
     )
-    return Extended(ended.fitted, judged, extension.first)
+    return Extended(ended.fitted, tuple(judged), extension.first)
 
 
 def _named_instead(trial: FittedTrial, basis: BackgroundBasis, search: Stepwise) -> Cause | None:
@@ -379,8 +383,8 @@ def _weakest(fitted: Fitted, basis: BackgroundBasis, variants: Mapping[Place, in
     weakest = min(against, key=lambda cause: against[cause], default=None)
     if weakest is None or against[weakest] < 0:
         return weakest
-    kinds = blocks_beside_background(fitted, basis)
-    failing = [cause for cause in against if not carried_over(fitted, cause, kinds).holds]
+    carries = carrying(fitted, basis)
+    failing = [cause for cause in against if cause not in carries]
     return min(failing, key=lambda cause: against[cause], default=None)
 
 

@@ -365,20 +365,6 @@ class Regressors(Generic[H]):
         """Return a copy with a subset of the candidates."""
         return replace(self, candidates=tuple(candidates), added_up=self.products)
 
-    def split(self, block: np.ndarray) -> list[Regressors[H]]:
-        """Return the model with the independent residuals of each block, given by their blocks (n,), without candidates."""
-        rows = (np.flatnonzero(block == number) for number in np.unique(block))
-        alone = replace(self, candidates=(), added_up=None)
-        return [
-            replace(
-                alone,
-                residual=self.residual[own],
-                jacobian=self.jacobian[own],
-                matrix=TallMatrix.held(np.empty((len(own), 0))),
-            )
-            for own in rows
-        ]
-
     def moving(self, matrix: TallMatrix) -> Regressors[H]:
         """Return a copy with another matrix of regressors."""
         return replace(self, matrix=matrix, added_up=None)
