@@ -99,15 +99,6 @@ class MeasuringPlan:
             yield f"{len(more)} further poses", replace(longer, vias=vias)
 
 
-@dataclass(frozen=True)
-class PlacedCause:
-    """A cause at a part, or by its id alone (part empty) if the poses cannot test it; joint 0: none."""
-
-    id: str
-    part: str = ""
-    joint: int = 0
-
-
 @dataclass(frozen=True, kw_only=True)
 class IsolabilityCell:
     """A cause at a stated size: its probability of detection (no rival), or of being distinguished from a rival."""
@@ -135,6 +126,7 @@ class Isolability:
 
     causes: a form for each place; seen, told: these probabilities; lacking: unmet needs of tests; indistinguishable: by
     place, the ids that data of this kind cannot distinguish from it, and what would (empty: another sensor or load).
+    A cause that the poses cannot test has its id alone as place, without a part.
     """
 
     causes: Mapping[Place, Cause]
@@ -149,17 +141,20 @@ class Isolability:
         size: of the causes, relative to their usual sizes; tried: the isolability with each addition, by cost.
         """
         rows: list[IsolabilityCell] = []
-        tested = [PlacedCause(*place, cause.joint) for place, cause in self.causes.items()]
-        for cause in (*tested, *map(PlacedCause, self.lacking)):
-            gaps = [None, *self._rivals(cause)]
+        for cause in (*self.causes, *((name, "") for name in self.lacking)):
+            own, alike = self.causes.get(cause), self.indistinguishable.get(cause, {})
+            rivals = [*(place for place in self.causes if own and place != cause), *((name, "") for name in alike)]
+            gaps = [None, *rivals]
             chances = [self.chance_of(cause, rival) for rival in gaps]
-            worst, (usual, unit) = _worst(chances), self._usual(cause, size)
+            worst, (usual, unit) = _worst(chances), _usual(own, size) if own else (None, "")
             for k, (rival, chance) in enumerate(zip(gaps, chances, strict=True)):
-                other, filled = rival or PlacedCause(""), _closing(tried, cause, rival) if k == worst else None
+                other = self.causes.get(rival, own) if rival else None  # one that is not testable is at the same joint
+                filled = _closing(tried, cause, rival) if k == worst else None
                 rows.append(
                     IsolabilityCell(
-                        cause=cause.id, joint=cause.joint or None, part=cause.part, size=usual, unit=unit, rival=other.id,
-                        rival_joint=other.joint or None, rival_part=other.part, chance=chance, enough=chance >= ENOUGH,
+                        cause=cause[0], joint=own.joint or None if own else None, part=cause[1], size=usual, unit=unit,
+                        rival=rival[0] if rival else "", rival_joint=other.joint or None if other else None,
+                        rival_part=rival[1] if rival else "", chance=chance, enough=chance >= ENOUGH,
                         needs=self._needs(cause, rival), worst=k == worst, addition=filled[0] if filled else "",
                         chance_then=filled[1] if filled else None,
                         words=self._words(cause, rival, filled, tried) if k == worst else "",
@@ -167,60 +162,45 @@ class Isolability:
                 )  # fmt: skip
         return to_frame(rows, IsolabilityCell)
 
-    def chance_of(self, cause: PlacedCause, rival: PlacedCause | None) -> float:
+    def chance_of(self, cause: Place, rival: Place | None) -> float:
         """Return the probability of detecting a cause (rival None), or of distinguishing it; 0 if not testable.
 
         A cause without a part is represented by its best detected place, in a pair by the worst distinguished ones.
         """
-        true, others = (
-            [place for place in self.seen if of and of.id == place[0] and of.part in ("", place[1])] for of in (cause, rival)
-        )  # fmt: skip
+        true, others = ([place for place in self.seen if of in (place, (place[0], ""))] for of in (cause, rival))
         if rival is None:
             return max((self.seen[place] for place in true), default=0.0)
         return min((self.told.get((place, other), 0.0) for place in true for other in others), default=0.0)
 
-    def _rivals(self, cause: PlacedCause) -> Iterator[PlacedCause]:
-        own = cause.id, cause.part
-        if own in self.causes:
-            yield from (PlacedCause(*place, other.joint) for place, other in self.causes.items() if place != own)
-            yield from (PlacedCause(name, joint=cause.joint) for name in self.indistinguishable[own])
+    def _needs(self, cause: Place, rival: Place | None) -> str:
+        if cause not in self.causes:
+            return self.lacking[cause[0]]
+        return self.indistinguishable[cause][rival[0]] if rival and rival not in self.causes else ""
 
-    def _needs(self, cause: PlacedCause, rival: PlacedCause | None) -> str:
-        if not cause.part:
-            return self.lacking[cause.id]
-        return self.indistinguishable[cause.id, cause.part][rival.id] if rival and not rival.part else ""
-
-    def _usual(self, cause: PlacedCause, size: float) -> tuple[float | None, str]:
-        """Return the simulated size, and its unit."""
-        if not cause.part:
-            return None, ""
-        declared = self.causes[cause.id, cause.part].declared
-        same = [parameter.prior_sd for parameter in declared if parameter.unit == declared[0].unit]
-        return size * float(np.sqrt(np.mean(np.square(same)))), declared[0].unit
-
-    def _name(self, cause: PlacedCause) -> str:
+    def _name(self, place: Place) -> str:
         """Return a cause's label with its joint, or with its part if it has several."""
-        if not cause.part:
-            return cause.id
-        alone = cause.joint or sum(cause.id == id_ for id_, _ in self.causes) == 1
-        return NamedCause(cause.id, cause.joint).label if alone else f"{cause.id} ({cause.part})"
+        if place not in self.causes:
+            return place[0]
+        joint = self.causes[place].joint
+        alone = joint or sum(place[0] == id_ for id_, _ in self.causes) == 1
+        return NamedCause(place[0], joint).label if alone else f"{place[0]} ({place[1]})"
 
     def _words(
-        self, cause: PlacedCause, rival: PlacedCause | None, filled: tuple[str, float] | None, tried: Mapping[str, Isolability]
-    ) -> str:  # fmt: skip
+        self, cause: Place, rival: Place | None, filled: tuple[str, float] | None, tried: Mapping[str, Isolability]
+    ) -> str:
         """Return a gap and its remedy in words."""
         what = "detected" if rival is None else f"distinguished from {self._name(rival)}"
         needs = self._needs(cause, rival)
         how = f"not {what}: it takes {needs}" if needs else f"{what} in {_percent(self.chance_of(cause, rival))}"
         if filled:
-            seen = {} if cause.part or rival else tried[filled[0]].seen  # the parts of a cause not testable before
-            shown = ", ".join(part for (id_, part), chance in seen.items() if id_ == cause.id and chance >= ENOUGH)
+            seen = {} if cause[1] or rival else tried[filled[0]].seen  # the parts of a cause not testable before
+            shown = ", ".join(part for (id_, part), chance in seen.items() if id_ == cause[0] and chance >= ENOUGH)
             return f"{self._name(cause)} is {how}; with {filled[0]} in {_percent(filled[1])}{f' ({shown})' if shown else ''}"
         if needs:
             return f"{self._name(cause)} is {how}"
         means = ["at this size it takes a more precise device or more poses"]
         if rival is not None:
-            effects = [effect_class(of.id) for of in (cause, rival)]
+            effects = [effect_class(of[0]) for of in (cause, rival)]
             means = [effect.told_by for effect in effects if effect and effect.told_by] or [ANY_MEANS]
         return f"{self._name(cause)} is {how}, and nothing tried changes that: {', or '.join(dict.fromkeys(means))}"
 
@@ -372,9 +352,14 @@ def _worst(chances: Sequence[float]) -> int | None:
     return worst if chances[worst] < ENOUGH else None
 
 
-def _closing(
-    tried: Mapping[str, Isolability], cause: PlacedCause, rival: PlacedCause | None
-) -> tuple[str, float] | None:
+def _usual(cause: Cause, size: float) -> tuple[float, str]:
+    """Return the simulated size of a cause, and its unit."""
+    unit = cause.declared[0].unit
+    same = [parameter.prior_sd for parameter in cause.declared if parameter.unit == unit]
+    return size * float(np.sqrt(np.mean(np.square(same)))), unit
+
+
+def _closing(tried: Mapping[str, Isolability], cause: Place, rival: Place | None) -> tuple[str, float] | None:
     """Return the first addition that closes a gap, and the probability with it; None if none does."""
     then = ((words, isolability.chance_of(cause, rival)) for words, isolability in tried.items())
     return next((count for count in then if count[1] >= ENOUGH), None)
