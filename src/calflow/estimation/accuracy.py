@@ -179,18 +179,16 @@ def errors_of_draws(model: Model, draws: np.ndarray, measured: Measurements) -> 
 
 
 def _leading_errors(model: Model, estimate: np.ndarray, every: Sequence[_ObservedSeries], n_rows: int) -> np.ndarray:
-    errors = np.full((n_rows, _widest(model)), np.nan)
+    errors = np.full((n_rows, _widest(model), 1), np.nan)
     for seen in every:
-        leading = _leading(seen.observation)
         error = model.observed_error(seen.observation, estimate, seen.conditions, seen.reported)
-        turned = _turned(seen, model, estimate, error[:, leading, None])
-        errors[seen.rows[:, None], np.arange(len(leading))] = turned[:, :, 0]
-    return errors
+        seen.enter(errors, error[:, :, None], model, estimate)
+    return errors[:, :, 0]
 
 
 @dataclass(frozen=True, eq=False)
 class _ObservedSeries:
-    """The rows of one series as its observation reports them; rows (n,) are their indices."""
+    """The rows of one series as its observation reports them; rows (n,) are their indices among all rows."""
 
     observation: Observation
     rows: np.ndarray
@@ -198,16 +196,22 @@ class _ObservedSeries:
     conditions: np.ndarray
     reported: np.ndarray
 
+    def enter(self, every: np.ndarray, values: np.ndarray, model: Model, estimate: np.ndarray) -> None:
+        """Enter values (n, n_units, …) in the leading unit in those of all rows, rotated from a device's axes into its frame."""
+        leading = _leading(self.observation)
+        axes = self.observation.axes(model.values(self.observation, estimate), self.table)
+        turned = values[:, leading] if axes is None else axes @ values[:, leading]
+        every[self.rows[:, None], np.arange(len(leading))] = turned
+
 
 def _observed_series(model: Model, measured: Measurements) -> list[_ObservedSeries]:
-    steps = []
+    series = []
     for k, observation in enumerate(model.observations):
         rows = np.flatnonzero(measured.of_series(k))
         table = measured.table.iloc[rows]
         reported = observation.reported(table) if len(rows) else np.zeros((observation.reports, 0))
-        seen = _ObservedSeries(observation, rows, table, measured.conditions[:, rows], reported)
-        steps.append(seen)
-    return steps
+        series.append(_ObservedSeries(observation, rows, table, measured.conditions[:, rows], reported))
+    return series
 
 
 def error_jacobian(
@@ -217,10 +221,8 @@ def error_jacobian(
     model = observing(model, measured)
     jacobian = np.zeros((len(measured), _widest(model), len(estimate)))
     for seen in _observed_series(model, measured):
-        leading = _leading(seen.observation)
         slope = model.observed_jacobian(seen.observation, estimate, seen.conditions, seen.reported)
-        turned = _turned(seen, model, estimate, slope[:, leading])
-        jacobian[seen.rows[:, None], np.arange(len(leading))] = turned
+        seen.enter(jacobian, slope, model, estimate)
     return np.nan_to_num(_masked(jacobian, measured, unit))
 
 
@@ -240,12 +242,6 @@ def _masked(values: np.ndarray, measured: Measurements, unit: MeasurementUnit | 
     unit = unit or judged_unit(units)
     values[np.isin(measured.series_number, [k for k, other in enumerate(units) if other != unit])] = np.nan
     return values
-
-
-def _turned(seen: _ObservedSeries, model: Model, estimate: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return values (n_rows, n_lengths, …) along a device's axes, rotated into the measuring frame."""
-    axes = seen.observation.axes(model.values(seen.observation, estimate), seen.table)
-    return values if axes is None else axes @ values
 
 
 def distances(error: np.ndarray) -> np.ndarray:
