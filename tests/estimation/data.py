@@ -87,7 +87,7 @@ def calibration(
     n = len(estimate)
     return CalibratedModel(
         model, estimate, covariance, np.zeros(n, dtype=bool) if at_bound is None else at_bound,
-        (SeriesNoise(sigma, source),), PerUnit(), "linear", ErrorModel.white(0.0, n),
+        (SeriesNoise(sigma, source, sigma),), PerUnit(), "linear", ErrorModel.white(0.0, n),
     )  # fmt: skip
 
 

@@ -55,7 +55,7 @@ def test_rows_that_state_no_noise_have_that_of_the_fit(source, expected):
         np.zeros(0),
         np.zeros((0, 0)),
         np.zeros(0, bool),
-        (SeriesNoise(4e-5, source, typical=7e-5),),
+        (SeriesNoise(4e-5, source, 7e-5),),
         PerUnit(),
         "linear",
         ErrorModel.white(0.0, 0),

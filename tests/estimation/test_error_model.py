@@ -124,7 +124,7 @@ def walking(seed):
 
 def promised(errors, result, data, seconds):
     """The standard deviation per axis (3,) so long after the measurement, as `predict` works it out."""
-    noise = (SeriesNoise(SIGMA, "file"),)
+    noise = (SeriesNoise(SIGMA, "file", SIGMA),)
     known = CalibratedModel(
         result.model, result.estimate, result.covariance, result.at_bound, noise, PerUnit(), "linear", errors
     )

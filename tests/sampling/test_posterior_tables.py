@@ -22,7 +22,7 @@ ECCENTRIC = cause("joint-eccentricity", "joint2", order=1)
 def calibrated():
     """A model with an eccentricity that is there, and its data."""
     final = start(hidden([(ECCENTRIC, (4e-4, -2e-4))])).with_causes([ECCENTRIC])
-    fit, noise = final.fit, (SeriesNoise(SIGMA, "repeats"),)
+    fit, noise = final.fit, (SeriesNoise(SIGMA, "repeats", SIGMA),)
     model = CalibratedModel(
         fit.model, fit.estimate, fit.covariance, fit.at_bound, noise, PerUnit(), "linear", final.errors
     )

@@ -68,20 +68,15 @@ def choice_errors(calibrated: CalibratedModel, conditions: np.ndarray) -> np.nda
 
 @dataclass(frozen=True)
 class SeriesNoise:
-    """The noise of a series: sigma of a single row (at zero range), growth with range [m/m], and its source.
+    """The noise of a series: sigma of a single row (at zero range), its source, and its growth with range [m/m].
 
-    typical is its root mean square over the rows (0: sigma). Both are in the series' leading unit.
+    typical is its root mean square over the measured rows. Both are in the series' leading unit.
     """
 
     sigma: float
     source: Source
+    typical: float
     growth: float = 0.0
-    typical: float = 0.0
-
-    @property
-    def at_rows(self) -> float:
-        """Its root mean square over the measured rows."""
-        return self.typical or self.sigma
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,11 +132,9 @@ class CalibratedModel:
             rows = data.of_series(k)
             if device.growth:
                 sigma[rows] = device.sigma + device.growth * data.table["range"].to_numpy()[rows]
-            elif device.source == "file":
-                sigma[rows] = np.where(np.isnan(sigma[rows]), device.at_rows, sigma[rows])
-            else:
+            elif device.source != "file":
                 sigma[rows] = device.sigma
-            sigma[rows & np.isnan(sigma)] = device.at_rows
+            sigma[rows & np.isnan(sigma)] = device.typical
         return replace(
             stated, sigma=sigma, sources=tuple(device.source for device in self.device), discrepancy=self.discrepancy,
             intraclass=self.intraclass,
@@ -186,7 +179,7 @@ def series_noise(noise: Noise, growth: tuple[float, float] | None = None) -> tup
     for k, source in enumerate(noise.sources):
         typical = float(np.sqrt(np.mean(noise.sigma[noise.of_series(k)] ** 2)))
         sigma, slope = growth or (typical, 0.0)
-        devices.append(SeriesNoise(sigma, source, slope, typical))
+        devices.append(SeriesNoise(sigma, source, typical, slope))
     return tuple(devices)
 
 

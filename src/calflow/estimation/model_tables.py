@@ -309,7 +309,7 @@ def noise_table(devices: Sequence[SeriesNoise], observed: Sequence[Observation])
     rows = []
     for device, observation in zip(devices, observed, strict=True):
         unit = observation.units[0]
-        sigma, typical = unit.shown(device.sigma), unit.shown(device.at_rows)
+        sigma, typical = unit.shown(device.sigma), unit.shown(device.typical)
         lengths = {"sigma_mm": sigma, "typical_mm": typical} if unit == METRE else {}
         rows.append(
             DeviceNoise(
@@ -434,7 +434,7 @@ def _alternatives(rows: Sequence[AlternativeParameter], model: Model) -> tuple[A
 def _read_noise(rows: Sequence[DeviceNoise], observed: Sequence[Observation]) -> tuple[SeriesNoise, ...]:
     scales = [observation.units[0].scale for observation in observed]
     return tuple(
-        SeriesNoise(row.sigma / scale, row.source, row.growth_mm_per_m / 1e3, row.typical / scale)
+        SeriesNoise(row.sigma / scale, row.source, row.typical / scale, row.growth_mm_per_m / 1e3)
         for row, scale in zip(rows, scales, strict=True)
     )
 
