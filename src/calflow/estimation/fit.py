@@ -160,14 +160,13 @@ def draw_starts(model: Model, n_starts: int, rng: np.random.Generator) -> np.nda
 class Expansion:
     """The objective at one point, its gradient and Gauss-Newton Hessian, in coordinates scaled by the priors.
 
-    residual (n,) are the stacked whitened residuals, independent (n,) the same after decorrelation within standstills.
+    residual (n,) are the stacked whitened residuals, before decorrelation within standstills.
     """
 
     value: float
     gradient: np.ndarray
     hessian: np.ndarray
     residual: np.ndarray
-    independent: np.ndarray
 
     def information(self, prior_sd: np.ndarray) -> np.ndarray:
         """Return the Hessian with respect to the unscaled parameters."""
@@ -179,7 +178,7 @@ def expansion(problem: LeastSquares, x: np.ndarray, loss: Loss) -> Expansion:
     model, n = problem.model, len(x)
     offset = x - model.prior_mean / model.prior_sd
     value, gradient, hessian = 0.5 * offset @ offset, offset.copy(), np.eye(n)
-    errors, residuals = list[np.ndarray](), list[np.ndarray]()
+    errors = list[np.ndarray]()
     for block in problem.blocks:
         for _, error, residual, jacobian in block.independent(x * model.prior_sd):
             squared = (residual**2).sum(axis=1)
@@ -190,8 +189,7 @@ def expansion(problem: LeastSquares, x: np.ndarray, loss: Loss) -> Expansion:
             gradient += weighted.T @ residual.ravel()
             hessian += weighted.T @ scaled
             errors.append(error.ravel())
-            residuals.append(residual.ravel())
-    return Expansion(value, gradient, hessian, np.concatenate(errors), np.concatenate(residuals))
+    return Expansion(value, gradient, hessian, np.concatenate(errors))
 
 
 Answer = Callable[..., Sequence[Any]]

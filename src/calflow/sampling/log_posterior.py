@@ -119,12 +119,12 @@ class Laplace:
         expanded = expansion(problem, estimate / prior_sd, "linear")
         pull = (estimate - problem.model.prior_mean) / prior_sd
         of_data, free = expanded.hessian - np.eye(len(estimate)), ~at_bound
-        variance = 1.0
+        chi2, variance = 2 * expanded.value - pull @ pull, 1.0
         for _ in range(VARIANCE_PASSES):
             information = of_data / variance + np.eye(len(estimate))
             inverse = np.linalg.inv(information[np.ix_(free, free)])
             determined = len(inverse) - np.trace(inverse)
-            variance = float((expanded.independent**2).sum() / max(1.0, expanded.independent.size - determined))
+            variance = float(chi2 / max(1.0, problem.size - determined))
         sd = np.zeros(len(estimate))
         sd[free] = np.sqrt(np.diag(inverse)) * prior_sd[free]
         covariance = np.linalg.inv(information) * np.outer(prior_sd, prior_sd)
