@@ -80,12 +80,8 @@ class PointErrors:
 
     def within(self, tolerance: float | None, turn_tolerance: float | None, alike: bool = False) -> np.ndarray:
         """Return whether each draw of each point meets all tolerances required, shape (n_draws, n_points)."""
-        met = np.full(self.position.drawn.shape[:2], True)
-        if tolerance is not None:
-            met &= self.position.within(tolerance, alike)
-        if turn_tolerance is not None:
-            met &= self.turn.within(turn_tolerance, alike)
-        return met
+        limit, turn_limit = (np.inf if asked is None else asked for asked in (tolerance, turn_tolerance))
+        return self.position.within(limit, alike) & self.turn.within(turn_limit, alike)
 
 
 def point_errors(
