@@ -23,7 +23,7 @@ from calflow.estimation.fit import Fit
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import representative
 from calflow.estimation.probing import Probe
-from calflow.estimation.smooth_functions import SmoothFunction, is_mean, means, smooth_functions
+from calflow.estimation.smooth_functions import Part, SmoothFunction, is_mean, means, smooth_functions
 from calflow.estimation.variance_components import NormalEquations, VarianceComponents
 from calflow.files.deferred import pd
 from calflow.files.plugins import subclasses
@@ -79,17 +79,14 @@ class ErrorModel:
     ) -> ErrorModel:
         """Return a copy with further functions of standard deviations sd (n,); known is, if given, their exact mean and slope."""
         mean, slope = known or (np.zeros(len(sd)), np.zeros((len(sd), self.slope.shape[1])))
-        n_known = 0 if known is None else len(sd)
-        told = np.zeros((len(self.sd) + len(sd), self.told.shape[1] + n_known))
-        told[: len(self.sd), : self.told.shape[1]] = self.told
-        told[len(self.sd) :, self.told.shape[1] :] = np.eye(len(sd), n_known)
+        n_known = len(sd) if known else 0
         return replace(
             self,
             functions=(*self.functions, *functions),
             sd=np.append(self.sd, sd),
             mean=np.append(self.mean, mean),
             slope=np.vstack([self.slope, slope]),
-            told=told,
+            told=scipy.linalg.block_diag(self.told, np.eye(len(sd), n_known)),
         )
 
     @cached_property
@@ -305,7 +302,7 @@ class SmoothVariances:
     result: Fit
     data: Measurements
     known: bool
-    kinds: list[tuple[tuple[str, ...], list[SmoothFunction]]]
+    kinds: list[Part]
     equations: NormalEquations
 
     @staticmethod

@@ -337,10 +337,11 @@ class OnTarget(SmoothFunction):
         return point + ca.vertcat(p[0] * x + p[2] * y, p[1] * y + p[2] * x, bow(p[3:], point))
 
 
-def smooth_functions(
-    problem: LeastSquares, estimate: np.ndarray, data: Measurements
-) -> list[tuple[tuple[str, ...], list[SmoothFunction]]]:
-    """Return inputs and functions of each part of the smooth errors: of one joint, two joints, place, payload, and time or order.
+Part = tuple[tuple[str, ...], list[SmoothFunction]]  # inputs and functions of one variance component
+
+
+def smooth_functions(problem: LeastSquares, estimate: np.ndarray, data: Measurements) -> list[Part]:
+    """Return the parts of the smooth errors: of one joint, two joints, place, payload, and time or order.
 
     For images the place is that in the image, and that on the target.
 
@@ -349,7 +350,7 @@ def smooth_functions(
     part.
     """
     robot, groups = data.robot, moved_together(problem, estimate)
-    bases: list[tuple[tuple[str, ...], list[SmoothFunction]]] = []
+    bases = list[Part]()
     for i in sorted(set().union(*groups)):
         others = tuple(k for k in _beside(groups, i) if k != i)
         fields = [JointField(robot, (i,), SMOOTH_ORDERS, erring) for erring in ((i,), others) if erring]
@@ -373,9 +374,9 @@ def is_mean(function: SmoothFunction) -> bool:
     return isinstance(function, OfJoints) and not function.orders
 
 
-def beside_joints(data: Measurements) -> list[tuple[tuple[str, ...], list[SmoothFunction]]]:
-    """Return inputs and functions of the parts by place in an image and on a target, by payload, and by time or order."""
-    bases: list[tuple[tuple[str, ...], list[SmoothFunction]]] = [(of.inputs, [of]) for of in of_images(data)]
+def beside_joints(data: Measurements) -> list[Part]:
+    """Return the parts by place in an image and on a target, by payload, and by time or order."""
+    bases: list[Part] = [(of.inputs, [of]) for of in of_images(data)]
     if loaded := under_payloads(data):
         bases.append((("payload",), [*loaded]))
     if steps := in_time(data):
