@@ -105,16 +105,6 @@ class _Input:
             yield (self.values >= low) & (self.values <= high)
 
 
-@dataclass(frozen=True)
-class _Worst:
-    """The region of an input with the largest residuals: mask of its rows (n_rows,), likelihood ratio, and p-value."""
-
-    of: _Input
-    inside: np.ndarray
-    ratio: float
-    chance: float
-
-
 def misfit(fitted: Fitted, rng: np.random.Generator) -> Misfit | None:
     """Return a fitted model's lack of fit; None where the noise explains the residuals, or the noise is unknown."""
     lack = fitted.lack
@@ -131,18 +121,18 @@ def largest(fitted: Fitted, rng: np.random.Generator) -> MisfitRegion | None:
     """
     studentised, inputs = fitted.studentised, _inputs(fitted)
     squared, number = np.nansum(studentised**2, axis=1), np.isfinite(studentised).sum(axis=1)
-    tried = [_worst(candidate, squared, number, fitted.poses, rng) for candidate in inputs]
-    significant = [candidate for candidate in tried if candidate and candidate.chance * len(inputs) <= BY_CHANCE]
-    if not significant:
-        return None
-    worst = min(significant, key=lambda candidate: (candidate.chance, -candidate.ratio))
-    return _region(worst.of, worst.inside, fitted)
+    tried = [(*_worst(candidate, squared, number, fitted.poses, rng), candidate) for candidate in inputs]
+    p, _, inside, worst = min(tried, key=lambda one: one[:2])
+    return _region(worst, inside, fitted) if p * len(inputs) <= BY_CHANCE else None
 
 
 def _worst(
     candidate: _Input, squared: np.ndarray, number: np.ndarray, poses: np.ndarray, rng: np.random.Generator
-) -> _Worst | None:
-    """Return an input's region with the largest residuals, None without any; rows of a pose are permuted together."""
+) -> tuple[float, float, np.ndarray]:
+    """Return an input's region with the largest residuals: its p-value, minus its likelihood ratio, and its rows (n_rows,).
+
+    Rows of a pose are permuted together. Without a region the p-value is infinite.
+    """
     constant = (pd.Series(candidate.values).groupby(poses).nunique() == 1).all()
     groups = poses if constant else np.arange(len(squared))
     _, first, group = np.unique(groups, return_index=True, return_inverse=True)
@@ -150,12 +140,12 @@ def _worst(
     size = inside.sum(axis=1)
     inside = inside[(size >= MIN_REGION_POSES) & (size <= MAX_REGION_SHARE * len(first))]
     if not len(inside):
-        return None
+        return np.inf, 0.0, np.zeros(len(squared), dtype=bool)
     total, count = np.bincount(group, squared), np.bincount(group, number)
     orders = np.array([np.arange(len(first)), *(rng.permutation(len(first)) for _ in range(DRAWS))]).T
     ratio = _likelihood_ratio(inside, total[orders], count[orders])  # (n_regions, 1 + DRAWS)
     best = ratio.max(axis=0)
-    return _Worst(candidate, inside[int(ratio[:, 0].argmax())][group], float(best[0]), float((best >= best[0]).mean()))
+    return float((best >= best[0]).mean()), -float(best[0]), inside[int(ratio[:, 0].argmax())][group]
 
 
 def _likelihood_ratio(inside: np.ndarray, total: np.ndarray, count: np.ndarray) -> np.ndarray:
