@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -16,7 +16,8 @@ from calflow.robot.robot import Robot
 
 # In m and rad: tolerances of machining and assembly, and the size beyond which a figure is mistaken rather than inexact.
 LINK_SD, LINK_BOUND = 2e-3, 20e-3
-PLACED_SD, PLACED_BOUND = 20e-3, 0.2  # base and markers at a stated place
+USUAL_BOUNDS = -LINK_BOUND, LINK_BOUND
+PLACED_SD, PLACED_BOUND = 20e-3, 0.2  # base and markers at a stated place; figures of a robot that no maker set
 MISTAKE = 20.0  # standard deviations of a marker's stated relative place beyond which it is a mistake
 UNKNOWN_SD, UNKNOWN_BOUND = 0.5, 3.0  # base or marker without a stated place, about the registered place
 
@@ -64,12 +65,30 @@ class Geometry(Effect):
     rocker's length the crank's, and between nearly parallel axes beta replaces d (each frame states its free figures). The
     redundancy of last joint and tool, and that of prismatic joints and planar arms, is kept for the identifiability
     analysis to report. Markers whose places relative to the first are known translate and rotate with it.
+
+    unstated: symbols of the figures that no joint counts as stated (`without_mistaken`): an arm assembled by hand has other
+    zeros than a maker's.
     """
+
+    unstated: tuple[str, ...] = ()
 
     id = "geometry"
     title = "geometry (link lengths, twists and offsets, base, tool)"
     words = Words("geometry error", "a length or an angle is not what the robot file says", "size")
     tag = ""
+
+    @property
+    def variant(self) -> str:
+        """None: a figure is the same parameter whether or not it counts as stated."""
+        return ""
+
+    def without_mistaken(self, at_bound: Iterable[Parameter]) -> Geometry:
+        """Return the effect for which no figure of a kind counts as stated, if one of these parameters is mistaken in it.
+
+        That is one at the bound of what a maker's robot is off; where a user stated the bound, it holds.
+        """
+        mistaken = {p.symbol for p in at_bound if p.effect == self.id and p.joint and (p.lower, p.upper) == USUAL_BOUNDS}
+        return replace(self, unstated=tuple(sorted({*self.unstated, *mistaken})))
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the errors of this robot's lengths and angles."""
@@ -102,7 +121,7 @@ class Geometry(Effect):
     @cached_property
     def errors(self) -> tuple[DimensionError, ...]:
         """Each parameter with the entry of `Dimensions` that it changes."""
-        return (*_base(self.robot), *_links(self.robot), *_loop(self.robot), *_tool(self.robot))
+        return (*_base(self.robot), *_links(self.robot, self.unstated), *_loop(self.robot), *_tool(self.robot))
 
 
 def _error(
@@ -121,13 +140,14 @@ def _base(robot: Robot) -> Iterator[DimensionError]:
         yield _error("base", symbol, "base", i, sd, bound)
 
 
-def _links(robot: Robot) -> Iterator[DimensionError]:
+def _links(robot: Robot, unstated: Sequence[str]) -> Iterator[DimensionError]:
     for i, (frame, place) in enumerate(zip(robot.frames, robot.places, strict=True)):
         for step in frame.free(place):
             words = FIGURES.get(step.symbol, f"{step.symbol} of the frame of joint {{link}}").format(
                 link=i + 1, before=robot.parents[i]
             )
-            parameter = Parameter(Geometry.id, f"joint{i + 1}", step.symbol, step.unit, LINK_SD, -LINK_BOUND, LINK_BOUND,
+            sd, bound = (PLACED_SD, PLACED_BOUND) if step.symbol in unstated else (LINK_SD, LINK_BOUND)
+            parameter = Parameter(Geometry.id, f"joint{i + 1}", step.symbol, step.unit, sd, -bound, bound,
                                   figure=step.value, meaning=words, joint=i + 1)  # fmt: skip
             yield DimensionError(parameter, "steps", robot.step_index(i, step.symbol))
 

@@ -11,14 +11,15 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from calflow.effects import Effect, effect_ids
+from calflow.effects.geometry import Geometry
 from calflow.estimation.accuracy import Accuracy, accuracy, leading_errors
 from calflow.estimation.calibrated_model import CalibratedModel, series_noise
 from calflow.estimation.error_model import ErrorModel, SmoothVariances, beside_smooth_errors
 from calflow.estimation.extrapolation import beyond_measured, extrapolation
-from calflow.estimation.fit import Fit, draw_starts, fit_sharing, fit_to_all
+from calflow.estimation.fit import START_ROWS, Fit, draw_starts, fit, fit_sharing, fit_to_all
 from calflow.estimation.identifiability import Identifiability, identifiability
 from calflow.estimation.lack_of_fit import LackOfFit, NoiseDoubt, doubts_of_repeats, doubts_of_residuals
-from calflow.estimation.least_squares import Loss
+from calflow.estimation.least_squares import LeastSquares, Loss
 from calflow.estimation.leverage import LeftOut, left_out
 from calflow.estimation.model_tables import IdentifySummary, fit_figures
 from calflow.estimation.needed_conditions import needed_conditions
@@ -150,6 +151,8 @@ def fit_effects(
             raise refuse(wrong, source)
         name = " + ".join(effect_ids(effects[:k]))
         say(f"{name}: {len(model.parameters)} parameters, {len(train)} rows")
+        if k == len(effects):
+            model = without_mistaken(model, part, noise_of_part, say)
         points = draw_starts(model, starts, rng("starts"))
         result, reweighted, lack, agree = fit_sharing(model, part, noise_of_part, points, loss)
         if k == len(effects):
@@ -187,6 +190,34 @@ def too_few_equations(model: Model, train: Measurements) -> str:
     wanted = -(-unknown * poses // equations)
     return (f"{equations} equations ({poses} training poses) for {unknown} parameters: measure at least "
             f"{wanted} training poses, better twice as many")  # fmt: skip
+
+
+def without_mistaken(model: Model, train: Measurements, noise: Noise, say: Say = nobody) -> Model:
+    """Return the model in which no figure of a kind counts as stated that the rows contradict in one joint.
+
+    A figure at the end of what a maker's robot is off bends all others, and what these cannot follow looks like a cause. It is
+    judged by the device's noise, since beside a discrepancy the priors win. Not counting the figures must make the errors likelier
+    by more than their wider priors cost.
+    """
+    some = representative(train, START_ROWS)
+    train, noise = train.only(some), noise.only(some)
+    result, _ = fit(LeastSquares.of(model, train, noise))
+    while (freed := _freed(result)) != model.effects:
+        other = build(model.robot, freed, model.given, model.observations)
+        wider, _ = fit(LeastSquares.of(other, train, noise))
+        gain = len(result.residual) * np.log((result.residual**2).sum() / (wider.residual**2).sum())
+        if gain < 2 * np.log(other.prior_sd / model.prior_sd).sum():
+            break
+        say("the data contradict figures of the robot file; none of their kind counts as stated")
+        model, result = other, wider
+    return model
+
+
+def _freed(result: Fit) -> tuple[Effect, ...]:
+    pushed = [parameter for parameter, there in zip(result.model.parameters, result.at_bound, strict=True) if there]
+    return tuple(
+        effect.without_mistaken(pushed) if isinstance(effect, Geometry) else effect for effect in result.model.effects
+    )
 
 
 def _of_single_rows(noise: Noise, fitted: Noise) -> np.ndarray:
