@@ -49,7 +49,7 @@ class Bench:
 
     def forms(self, effect: type[Effect]) -> tuple[Effect, ...]:
         """The forms in which an effect is looked for here; of a scan through very many the one in its middle."""
-        if effect.lacking(self.robot, self.data) or effect.superseded(self.robot):
+        if effect.lacking(self.robot, self.data) or effect.superseded(self.robot, self.data):
             return ()
         forms = effect.variants(self.robot, self.data)
         return forms if len(forms) <= SCAN else (forms[len(forms) // 2],)

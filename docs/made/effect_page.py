@@ -86,7 +86,7 @@ def _needs(effect: type[Effect]) -> list[str]:
     said = [f"- {one}" for one in needed] or [
         f"- {bare}" if bare else "- nothing besides joint readings and what was measured"
     ]
-    if instead := effect.superseded(arm.robot):
+    if instead := effect.superseded(arm.robot, arm.data):
         said.append(f"- not looked for where {instead}")
     if effect.id in FITTED:
         said.append(

@@ -64,7 +64,7 @@ class Catalogue:
         for name, kind in sorted((catalogue() | named).items()):
             if name in have or name in without or (only and name not in only):
                 continue
-            if reason := kind.superseded(data.robot):
+            if reason := kind.superseded(data.robot, data):
                 superseded[name] = reason
             elif reason := kind.lacking(data.robot, data):
                 lacking[name] = reason

@@ -129,7 +129,6 @@ class ShownBy:
 
 SHOWN = {
     "": ShownBy("", lambda data: True),
-    "images": ShownBy("images of a target", lambda data: data.in_images),
     "warmth": ShownBy(
         "a column temperature_degC (that changes), or time_s",
         lambda data: data.temperature_changes or "time" in data.given,
@@ -238,6 +237,7 @@ class Effect(ABC):
     forms: ClassVar[Mapping[Any, str]] = {}  # admissible values of its one field besides the robot, each in words
     needs: ClassVar[tuple[str, ...]] = ()  # requirements on robot and data: keys of `NEEDS`
     shown_by: ClassVar[str] = ""  # kind of rows in which it shows: a key of `SHOWN`
+    imaged: ClassVar[bool | None] = None  # whether it is of a camera or its target, or of another device; None: of neither
     stands_in: ClassVar[str] = ""  # id of the effect that replaces it where the masses are known
     family: ClassVar[str] = ""  # name used when the data do not distinguish it from other members of its family
     alike: ClassVar[tuple[str, ...]] = ()  # ids that no pose distinguishes from it, only another sensor or load
@@ -314,10 +314,12 @@ class Effect(ABC):
         return ""
 
     @classmethod
-    def superseded(cls, robot: Robot) -> str:
-        """Return why this robot does not need it (another effect replaces it, it has no rail); empty where it may."""
+    def superseded(cls, robot: Robot, data: Measurements) -> str:
+        """Return why this robot and its device cannot have it, whatever is recorded (no rail, no camera); empty where they may."""
         if "slide" in cls.needs and not NEEDS["slide"].met(robot, ()):
             return "the robot has no prismatic joint"
+        if cls.imaged is not None and cls.imaged != data.in_images:
+            return "no target is photographed" if cls.imaged else "a target is photographed, and camera or target has it"
         replaced = cls.stands_in and robot.has_masses
         return f"the masses are known, so {cls.stands_in} stands for it" if replaced else ""
 

@@ -26,7 +26,7 @@ class BoardBent(Effect):
     title = "board that is not flat"
     words = Words("board that is not flat", "the plate is bowed or twisted", "height at 0.1 m from its middle")
     whole = "target"
-    shown_by = "images"
+    imaged = True
     told_by = "lay a straight edge on the plate, along it, across it and from corner to corner"
 
     @classmethod

@@ -21,7 +21,7 @@ class CameraSlip(StepChange):
 
     id = "camera-slip"
     title = "camera that slipped"
-    shown_by = "images"
+    imaged = True
     words = Words("camera that slipped", "the camera moved once on what it is fixed to", "shift")
     whole = "device"
     family = OF_THE_FRAME

@@ -120,6 +120,7 @@ class LensGrowth(StandGrowth):
         "growth of the camera's lens", "the lens or the sensor follows the temperature, or warms up", "relative change"
     )
     course = "warming up"
+    imaged = True
     told_by = "let the camera warm up first, or photograph a target fixed beside it from time to time"
 
     @classmethod

@@ -29,12 +29,8 @@ class FrameStep(StepChange):
     words = Words("step of the measuring device", "the device, or the robot's foot, was moved once", "step")
     whole = "device"
     family = OF_THE_FRAME
+    imaged = False
     told_by = "measure points fixed to the floor from time to time"
-
-    @classmethod
-    def unfit(cls, robot: Robot, data: Measurements) -> str:
-        """Return the kind of device required where the rows are images; empty otherwise."""
-        return "a device that measures positions: what a camera does is camera-slip" if data.in_images else ""
 
     @classmethod
     def kinds(cls, robot: Robot) -> tuple[Self, ...]:

@@ -29,7 +29,7 @@ class PrintScale(Effect):
         "print that is longer one way", "the printer stretched the board", "how much longer it is along y than along x"
     )
     whole = "target"
-    shown_by = "images"
+    imaged = True
     told_by = "measure the print along both directions"
 
     @classmethod

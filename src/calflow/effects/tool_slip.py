@@ -32,13 +32,9 @@ class ToolSlip(StepChange):
     title = "slip of the tool"
     words = Words("slip of the tool", "the tool, or a marker on it, shifted once", "shift")
     whole = TOOL
+    imaged = False
     told_by = "measure the tool against its flange, or some of the first poses again"
     turn_sd = 1e-3
-
-    @classmethod
-    def unfit(cls, robot: Robot, data: Measurements) -> str:
-        """Return the kind of device required where the rows are images; empty otherwise."""
-        return "a device that measures positions: what a board does is target-slip" if data.in_images else ""
 
     @classmethod
     def kinds(cls, robot: Robot) -> tuple[Self, ...]:

@@ -41,7 +41,7 @@ Part = tuple[float, Mistake, np.ndarray, str, float]
 def causes_of_loads(data: Measurements, as_read: FittedSetup) -> list[Mistake]:
     """Return the load-dependent causes that the robust fit lacks, as rivals of mistakes."""
     robot, there = as_read.setup.model.robot, {effect.id for effect in as_read.setup.model.effects}
-    kinds = [kind for kind in catalogue().values() if kind.id not in there and not kind.superseded(robot)]
+    kinds = [kind for kind in catalogue().values() if kind.id not in there and not kind.superseded(robot, data)]
     of_loads = [
         kind
         for kind in kinds
