@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from hidden.case import Case, draw, robot_file, stated_tables
 from hidden.causes import PAYLOADS, Hidden, measured_points
 from robots import rows
 
+POSITIONS = SimpleNamespace(in_images=False)
 SOFTER = Hidden("base-compliance", 0, 2e-8, 0.3)
 
 
@@ -75,7 +77,7 @@ def test_payloads_of_unknown_mass_tilt_the_base_too(serial, moved):
 def test_known_masses_make_it_needless(serial):
     """Fails if a foundation is looked for twice."""
     known = Robot(**parts_of(robot_file(stated_tables(Case()), masses=True), Origin(Path(), (), {})))
-    assert BaseTilt.superseded(known)
-    assert BaseTilt.superseded(serial) == ""
+    assert BaseTilt.superseded(known, POSITIONS)
+    assert BaseTilt.superseded(serial, POSITIONS) == ""
     unloaded = replace(serial, payloads={})
     assert [parameter.symbol for parameter in BaseTilt(unloaded, "direction").declared] == ["tx", "ty", "txy"]

@@ -7,8 +7,8 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
+from calflow.diagnosis.screening import Catalogue
 from calflow.effects.camera_slip import CameraSlip, TargetSlip
-from calflow.effects.frame_step import FrameStep
 from calflow.measurements.measurements import Measurements
 from conftest import in_process
 from observations.photographed import IN_HAND, ON_TABLE, UR5E, Arm, Photographs, board, frame, photographed
@@ -65,18 +65,28 @@ def assert_slipped(folder, made: Photographs, cause: str) -> None:
 
 
 def test_a_slip_is_of_one_camera_and_between_images(tmp_path):
-    """Fails if a moment parts the points of an image, or it is looked for where another device, or one of several, was moved."""
+    """Fails if a moment parts the points of an image, or it is looked for where one of several cameras was moved."""
     made = slipped(6)
     data = study(tmp_path, made, "ur5e", True).measurements()
     last = data.table.groupby("pose")["order"].max().to_numpy()
     variants = CameraSlip.variants(data.robot, data)
     reached = {one.moment for slip in variants for one in (slip, *slip.finer(data))}
     assert reached == {*(last[2:-3] + 0.5)}
-    assert FrameStep.variants(data.robot, data) == ()
-    assert "camera-slip" in FrameStep.lacking(data.robot, data)
-    of_positions = Measurements(data.robot, data.table.drop(columns=["u", "v"]))
     for kind, what in ((CameraSlip, "camera"), (TargetSlip, "target")):
         two = Measurements(data.robot, data.table.assign(**{what: np.where(data.table["order"] % 2, "left", "right")}))
-        for other, words in ((two, f"one {what}"), (of_positions, "images")):
-            assert words in kind.lacking(data.robot, other)
-            assert kind.variants(data.robot, other) == ()
+        assert f"one {what}" in kind.lacking(data.robot, two)
+        assert kind.variants(data.robot, two) == ()
+
+
+def test_no_cause_of_a_device_that_was_not_used_counts_as_untested(tmp_path):
+    """Fails if `next` lists causes of a camera as untested where a tracker measured, or those of a tracker beside images."""
+    images = study(tmp_path, slipped(6), "ur5e", True).measurements()
+    positions = Measurements(images.robot, images.table.drop(columns=["u", "v"]))
+    of_cameras = {"board-bent", "camera-slip", "lens-growth", "lens-step", "print-scale", "target-slip"}
+    of_others = {"frame-step", "tool-slip"}
+    for data, absent in ((positions, of_cameras), (images, of_others)):
+        found = Catalogue.of(data, ("geometry",))
+        assert absent <= found.superseded.keys()
+        assert not absent & found.lacking.keys()
+        assert not absent & {effect.id for effect in found.effects}
+    assert not of_cameras & Catalogue.of(images, ("geometry",)).superseded.keys()

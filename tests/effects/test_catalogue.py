@@ -284,7 +284,7 @@ def test_what_is_lacking_is_told_in_words(
     """Breaks if an effect is looked for in data that cannot show it, or the column that would help is not named."""
     data = taken(full)
     kind = catalogue()[name]
-    assert re.search(words, kind.superseded(data.robot) or kind.lacking(data.robot, data))
+    assert re.search(words, kind.superseded(data.robot, data) or kind.lacking(data.robot, data))
     if name not in ("gravity-deflection", "base-tilt", "tracker-scale", "marker-place", "axis-straightness"):
         assert catalogue()[name].lacking(full.robot, full) == ""
 

@@ -83,7 +83,7 @@ def test_unknown_payloads_make_statics_lacking():
     """Breaks if statics count with a payload that weighs nothing, or do not say whose mass they need."""
     robot = weighed(industrial(), light=60.0, load=None)
     assert not robot.has_masses
-    assert GravityDeflection.superseded(robot) == ""
+    assert GravityDeflection.superseded(robot, _Nothing(robot)) == ""
     for name in ("joint-compliance", "link-bending", "payload-mass"):
         assert "every link and payload" in ", ".join(catalogue()[name].lacking(robot, _Nothing(robot)).split("\n"))
     assert "s_load" in {parameter.symbol for parameter in GravityDeflection(robot).declared}
@@ -93,6 +93,7 @@ class _Nothing:
     """Data without any column that may be missing."""
 
     given = ()
+    in_images = False
 
     def __init__(self, robot: Robot) -> None:
         self.robot = robot

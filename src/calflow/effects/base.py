@@ -237,7 +237,7 @@ class Effect(ABC):
     forms: ClassVar[Mapping[Any, str]] = {}  # admissible values of its one field besides the robot, each in words
     needs: ClassVar[tuple[str, ...]] = ()  # requirements on robot and data: keys of `NEEDS`
     shown_by: ClassVar[str] = ""  # kind of rows in which it shows: a key of `SHOWN`
-    imaged: ClassVar[bool | None] = None  # whether it is of a camera or its target, or of another device; None: of neither
+    imaged: ClassVar[bool | None] = None  # whether it is of a camera or its target, or of another device
     stands_in: ClassVar[str] = ""  # id of the effect that replaces it where the masses are known
     family: ClassVar[str] = ""  # name used when the data do not distinguish it from other members of its family
     alike: ClassVar[tuple[str, ...]] = ()  # ids that no pose distinguishes from it, only another sensor or load
@@ -319,7 +319,7 @@ class Effect(ABC):
         if "slide" in cls.needs and not NEEDS["slide"].met(robot, ()):
             return "the robot has no prismatic joint"
         if cls.imaged is not None and cls.imaged != data.in_images:
-            return "no target is photographed" if cls.imaged else "a target is photographed, and camera or target has it"
+            return "no target is photographed" if cls.imaged else "what slips is the camera or its target"
         replaced = cls.stands_in and robot.has_masses
         return f"the masses are known, so {cls.stands_in} stands for it" if replaced else ""
 

@@ -9,7 +9,6 @@ import casadi as ca
 
 from calflow.effects.base import OF_THE_FRAME, Words
 from calflow.effects.step_change import StepChange
-from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Row
 from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot

@@ -87,7 +87,8 @@ class Geometry(Effect):
 
         That is one at the bound of what a maker's robot is off; where a user stated the bound, it holds.
         """
-        mistaken = {p.symbol for p in at_bound if p.effect == self.id and p.joint and (p.lower, p.upper) == USUAL_BOUNDS}
+        own = (p for p in at_bound if p.effect == self.id and p.joint)
+        mistaken = {p.symbol for p in own if (p.lower, p.upper) == USUAL_BOUNDS}
         return replace(self, unstated=tuple(sorted({*self.unstated, *mistaken})))
 
     def parameters(self) -> tuple[Parameter, ...]:

@@ -12,7 +12,6 @@ from calflow.effects.base import Words
 from calflow.effects.cause import parts
 from calflow.effects.step_change import StepChange
 from calflow.effects.tool_deflection import TOOL, markers_alone, tools
-from calflow.measurements.measurements import Measurements
 from calflow.robot.frames import placement
 from calflow.robot.mechanism import Dimensions, Row
 from calflow.robot.parts import Parameter

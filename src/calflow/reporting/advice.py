@@ -23,6 +23,7 @@ from calflow.design.isolability import isolability_gaps
 from calflow.diagnosis.cause_tables import CandidateRow
 from calflow.diagnosis.findings import RESTS
 from calflow.effects.base import ASKED, NEEDS, Need, ShownBy
+from calflow.effects.geometry import LINK_BOUND, Geometry
 from calflow.effects.wording import UNEXPLAINED, cause_name, place_name, place_names
 from calflow.estimation.certainty import PROMISED, MissedPose
 from calflow.estimation.identifiability import Statement
@@ -414,6 +415,23 @@ def at_bound(outcome: RunOutcome) -> Iterator[Advice]:
         yield Advice(3, at_zero, AT_THE_DESK)
 
 
+def mistaken_figures(outcome: RunOutcome) -> Iterator[Advice]:
+    """A figure further off than a maker's is not one of this robot."""
+    figures = [row for row in outcome.fitted_parameters if row.effect == Geometry.id and row.joint]
+    if far := [f"{meant(row)} by {deviation(row)}" for row in figures if abs(row.estimate) > LINK_BOUND]:
+        sentence = (
+            f"The robot file is further off than a maker's: {listed(far, 4)}. Check its dimensions and units; if the arm was put "
+            "together so, state the calibrated figures there (export --to dh writes them)."
+        )
+        yield Advice(2, sentence, AT_THE_DESK)
+
+
+def deviation(row: FittedParameter) -> str:
+    """Return a parameter's value with its unit."""
+    factor, unit = readable(row.unit)
+    return f"{mm(factor * row.estimate)} {unit}"
+
+
 def meant(row: FittedParameter) -> str:
     """Return a parameter's meaning in words, or its name where it has none."""
     return row.meaning or row.parameter
@@ -524,7 +542,7 @@ RULES: Mapping[str, tuple[Rule, ...]] = {
     ),
     "diagnose/summary.json": (*CAUSE_RULES, look_for_reason, look_for_structure, advised_poses, other_means, untested),
     "identify/residuals.csv": (flagged_rows,),
-    "identify/parameters.csv": (at_bound,),
+    "identify/parameters.csv": (at_bound, mistaken_figures),
     "identify/placement.csv": (second_marker, unseen_compliance),
     ISOLABILITY_TABLE: (add_to_the_plan,),
     "sample/summary.json": (too_short, ensembles_disagree),
