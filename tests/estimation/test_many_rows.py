@@ -57,7 +57,7 @@ def poses(data: Measurements) -> np.ndarray:
 
 def expanded(data: Measurements, result: Fit) -> tuple[np.ndarray, ...]:
     found = expansion(result.problem, result.estimate / result.model.prior_sd, "linear")
-    return found.gradient, found.hessian, found.residual, found.independent
+    return found.gradient, found.hessian, found.residual
 
 
 def without_each(data: Measurements, result: Fit) -> tuple[np.ndarray, ...]:
