@@ -180,7 +180,7 @@ def expansion(problem: LeastSquares, x: np.ndarray, loss: Loss) -> Expansion:
     value, gradient, hessian = 0.5 * offset @ offset, offset.copy(), np.eye(n)
     errors = list[np.ndarray]()
     for block in problem.blocks:
-        for _, error, residual, jacobian in block.independent(x * model.prior_sd):
+        for error, residual, jacobian in block.independent(x * model.prior_sd):
             squared = (residual**2).sum(axis=1)
             slope = rho_slope(squared, loss)[:, None, None]
             scaled = (jacobian * model.prior_sd).reshape(-1, n)
@@ -417,8 +417,7 @@ class IntraclassLikelihood:
         sums, numbers = dict[int, np.ndarray](), Counter[int]()
         each = np.zeros_like(prior)
         for block in problem.blocks:
-            parts = zip(block.parts(), block.linearised(result.estimate), strict=True)
-            for part, (_, residual, jacobian) in parts:
+            for part, residual, jacobian in block.linearised(result.estimate):
                 both = np.concatenate([(jacobian * sd)[..., free], residual[:, :, None]], axis=2)
                 each += np.tensordot(both, both, ((0, 1), (0, 1)))
                 sharing = block.sharing.only(part)

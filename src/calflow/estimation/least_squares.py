@@ -77,15 +77,6 @@ class Sharing:
         return float((others * np.log1p(-r) + np.log1p(others * r)).sum())
 
 
-def whole_groups(group: np.ndarray, size: int) -> Iterator[slice]:
-    """Yield slices of about `size` rows, none of which ends between adjacent rows of one group (n_rows,)."""
-    ends, start = np.append(np.flatnonzero(np.diff(group)) + 1, len(group)), 0
-    while start < len(group):
-        end = int(ends[np.searchsorted(ends, min(start + size, len(group)))])
-        yield slice(start, end)
-        start = end
-
-
 Loss = Literal["linear", "soft_l1", "cauchy"]
 
 
@@ -211,26 +202,31 @@ class SeriesBlock:
         return self.sharing.only(part).decorrelated(by_row).reshape(values.shape)
 
     def parts(self, group: np.ndarray | None = None, size: int | None = None) -> Iterator[slice]:
-        """Return slices of about `size` rows, so that memory does not grow with the data.
+        """Yield slices of about `size` rows, so that memory does not grow with the data.
 
         No slice ends between adjacent rows of one group (n_rows,), by default standstills.
         """
-        return whole_groups(self.sharing.standstill if group is None else group, size or LINEARISED_ROWS)
+        group, size = self.sharing.standstill if group is None else group, size or LINEARISED_ROWS
+        ends, start = np.append(np.flatnonzero(np.diff(group)) + 1, len(group)), 0
+        while start < len(group):
+            end = int(ends[np.searchsorted(ends, min(start + size, len(group)))])
+            yield slice(start, end)
+            start = end
 
     def linearised(
         self, p: np.ndarray, group: np.ndarray | None = None
-    ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """Yield row indices (n,), whitened residuals (n, n_units) and Jacobian (n, n_units, n_parameters) at p, by `parts`."""
+    ) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
+        """Yield each of `parts`, its whitened residuals (n, n_units) and Jacobian (n, n_units, n_parameters) at p."""
         for part in self.parts(group):
             data = (values[:, part] for values in self.data)
             residual, jacobian = self.model.over_rows(self.graph, p, *data, passes=EXPECTED_PASSES)
-            yield self.rows[part], residual.T, jacobian.T.reshape(residual.shape[1], self.n_units, -1)
+            yield part, residual.T, jacobian.T.reshape(residual.shape[1], self.n_units, -1)
 
-    def independent(self, p: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
-        """Yield row indices and residuals as `linearised` does, then the decorrelated residuals and Jacobian."""
-        for part, (rows, residual, jacobian) in zip(self.parts(), self.linearised(p), strict=True):
+    def independent(self, p: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """Yield the residuals of each of `parts` at p, then the decorrelated residuals and Jacobian."""
+        for part, residual, jacobian in self.linearised(p):
             sharing = self.sharing.only(part)
-            yield rows, residual, sharing.decorrelated(residual), sharing.decorrelated(jacobian)
+            yield residual, sharing.decorrelated(residual), sharing.decorrelated(jacobian)
 
 
 @dataclass(frozen=True, eq=False)
@@ -334,7 +330,7 @@ class LeastSquares:
     def linearised(self, p: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """Yield row indices (n,), whitened residuals (n, n_units) and Jacobian (n, n_units, n_parameters) at p, part by part."""
         for block in self.blocks:
-            yield from block.linearised(p)
+            yield from ((block.rows[part], residual, slopes) for part, residual, slopes in block.linearised(p))
 
     def on(self, model: Model) -> LeastSquares:
         """Return the same data with another model, which takes over this model's observations."""
@@ -372,7 +368,7 @@ class LeastSquares:
         """Return the stacked residuals (n,) at p, whitened and decorrelated, and Householder's R factor of their Jacobian."""
         residuals, r_factor = [], np.zeros((0, len(p)))
         for block in self.blocks:
-            for _, _, residual, jacobian in block.independent(p):
+            for _, residual, jacobian in block.independent(p):
                 residuals.append(residual.ravel())
                 r_factor = np.asarray(np.linalg.qr(np.vstack([r_factor, jacobian.reshape(-1, len(p))]), mode="r"))
         return np.concatenate(residuals), r_factor

@@ -197,10 +197,9 @@ def _by_pose(fit: Fit, pose: np.ndarray) -> Iterator[np.ndarray]:
         if not lengths.any():
             continue
         block = block.at(np.argsort(pose[block.rows], kind="stable"))
-        for part, (rows, residual, jacobian) in zip(
-            block.parts(pose[block.rows]), block.linearised(fit.estimate, pose[block.rows]), strict=True
-        ):
-            _, first, count = np.unique(pose[rows], return_index=True, return_counts=True)
+        poses = pose[block.rows]
+        for part, residual, jacobian in block.linearised(fit.estimate, poses):
+            _, first, count = np.unique(poses[part], return_index=True, return_counts=True)
             for many in np.unique(count):
                 rows_of = first[count == many, None] + np.arange(many)
                 spread = block.sharing.only(part).covariance(rows_of)
