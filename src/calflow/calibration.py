@@ -21,7 +21,7 @@ from calflow.deployment import check_poses, compensation, prediction, validation
 from calflow.deployment import drift as drift_check
 from calflow.deployment import export as exporting
 from calflow.deployment.export import Export, Format
-from calflow.deployment.figures_alone import FIGURES, LEVELS, NOT_COMPUTED, AloneParameter, EffortLevel, Levels
+from calflow.deployment.figures_alone import FIGURES, LEVELS, AloneParameter, EffortLevel, Levels
 from calflow.deployment.in_space import IN_SPACE, SpaceError, hand_eye_errors, space_rows
 from calflow.deployment.run_outcome import RunOutcome
 from calflow.deployment.usability import no_better_in_space, warning
@@ -380,8 +380,8 @@ class Calibration(CalibratedModel, RunOutcome):
         )  # fmt: skip
 
     @cached_property
-    def levels(self) -> Levels | None:
-        """The levels of correction that can be deployed, with remaining errors; None if the run's version had none."""
+    def levels(self) -> Levels:
+        """The levels of correction that can be deployed, with remaining errors."""
         return Levels.read(self.model, self.results)
 
     predict = prediction.predict
@@ -412,11 +412,8 @@ class Calibration(CalibratedModel, RunOutcome):
             sent: the corrections active in the robot during the measurement; controller figures are those fitted alone.
 
         Raises:
-            InputError: as there; a verdict is asked on fitted rows; or controller figures were not computed.
+            InputError: as there; or a verdict is asked on fitted rows.
         """
-        if sent == "controller figures" and self.levels is None:
-            raise refuse(f"{NOT_COMPUTED}; {AGAIN}", key="sent")
-        figures = self.levels.figures if self.levels and sent == "controller figures" else None
         judged = validation.validate(
             self,
             data,
@@ -425,7 +422,7 @@ class Calibration(CalibratedModel, RunOutcome):
             confidence=confidence,
             station=station,
             sent=sent,
-            figures=figures,
+            figures=self.levels.figures if sent == "controller figures" else None,
         )
         if judged.summary.tolerance is not None and (lines := self.fitted_lines(data)):
             raise refuse(
@@ -460,8 +457,6 @@ class Calibration(CalibratedModel, RunOutcome):
         with suppress(InputError):
             data, lost = self.data, []
             model, conditions = prediction.on_conditions_of(self, data), data.conditions
-        if self.levels is None:
-            lost.append(f"{NOT_COMPUTED}: figures stay as they are beside the rest of the model; {AGAIN}")
         moved_by = drives(self.folder.folder / INPUTS / "robot.toml") if self.folder else None
         exported = exporting.export(
             model, to, conditions=conditions, levels=self.levels, maker=self.robot, drives=moved_by, beside=texts

@@ -16,15 +16,7 @@ import casadi as ca
 import numpy as np
 
 from calflow.deployment.conventions import nearest_vector
-from calflow.deployment.figures_alone import (
-    GIVEN,
-    NOT_COMPUTED,
-    Effort,
-    FiguresAlone,
-    Levels,
-    beyond_figures,
-    is_of_figures,
-)
+from calflow.deployment.figures_alone import GIVEN, Effort, FiguresAlone, Levels, beyond_figures, is_of_figures
 from calflow.design.candidates import candidates
 from calflow.effects import Effect
 from calflow.estimation.calibrated_model import CalibratedModel, expected_point
@@ -234,7 +226,7 @@ def export(
         to: the format; dh is a robot file with the calibrated figures in place of the maker's.
         conditions: packed conditions (n_conditions, n) of the measured rows, over which costs are computed; None:
             those of random poses within the joint limits.
-        levels: figures fitted alone; None: those of the whole model are exported.
+        levels: figures fitted alone, needed for a controller's own files; None: those of the whole model are exported.
         maker: the robot as in its file, where the calibration placed base, tool or markers elsewhere before it began.
         drives: for a URDF, the drive of each joint, by its name in the robot.
         beside: for a controller's own files, their present texts.
@@ -248,6 +240,8 @@ def export(
     if levels and levels.harm:
         raise refuse(levels.harm)
     if to in CONTROLLER_FILES:
+        if levels is None:
+            raise ValueError("a controller's own files take zeros fitted alone")
         return _controller_file(cast("Maker", to), levels, maker or calibrated.model.robot, beside or {})
     worth = (levels.words,) if levels else ()
     figures: FiguresAlone | CalibratedModel = calibrated
@@ -280,13 +274,11 @@ def export(
     return Export(writers[to](), notes, lost)
 
 
-def _controller_file(maker: Maker, levels: Levels | None, nominal: Robot, beside: Mapping[Path, str]) -> Export:
+def _controller_file(maker: Maker, levels: Levels, nominal: Robot, beside: Mapping[Path, str]) -> Export:
     """Return the lines to paste into a maker's files, from figures fitted alone for what these hold.
 
     Markers with unknown positions are fitted too, whether or not the files hold a tool.
     """
-    if levels is None:
-        raise refuse(f"zeros alone are not known: {NOT_COMPUTED}; run the study again")
     if not nominal.is_one_arm:
         raise refuse("a controller's files are of one arm, this robot has several")
     known = all(marker.known for marker in nominal.markers.values())

@@ -38,9 +38,6 @@ from calflow.robot.mechanism import (
 from calflow.robot.parts import Expected
 
 LEVELS, FIGURES = "levels_of_effort.csv", "figures.csv"  # of a stage
-NOT_COMPUTED = (
-    "what controller figures are worth is not computed in these results, which another version of calflow made"
-)
 Effort = Literal["nothing", "zeros", "zeros and tool", "figures", "commands"]
 GIVEN: dict[Effort, str] = {
     "nothing": "the maker's figures",
@@ -131,11 +128,9 @@ class Levels:
         return Levels(alone, beyond_figures(whole), _judged(judged, calibrated, data))
 
     @staticmethod
-    def read(model: Model, results: Results) -> Levels | None:
-        """Return the levels stored for the best model, bit by bit; None where a run of another version stored none."""
+    def read(model: Model, results: Results) -> Levels:
+        """Return the levels stored for the best model, bit by bit."""
         stage = "diagnose" if "diagnose/effects.csv" in results else "identify"
-        if f"{stage}/{LEVELS}" not in results:
-            return None
         rows = results.rows(f"{stage}/{FIGURES}", AloneParameter)
         alone = {
             level: FiguresAlone(bare, tuple(row for row in rows if row.level == level))

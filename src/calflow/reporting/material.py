@@ -61,8 +61,8 @@ class Material(RunOutcome):
         return self._loaded[0]
 
     @cached_property
-    def levels(self) -> Levels | None:
-        """The levels of effort with their errors; None where a run of another version did not compute them."""
+    def levels(self) -> Levels:
+        """The levels of effort with their errors."""
         return Levels.read(self.calibrated.model, self.results)
 
     @property
@@ -73,7 +73,7 @@ class Material(RunOutcome):
     @cached_property
     def figures(self) -> FiguresAlone:
         """The robot's figures, fitted alone where the model has further effects."""
-        if self.levels is None or not self.levels.left_out:
+        if not self.levels.left_out:
             return FiguresAlone(self.calibrated.model, tuple(self.fitted_parameters))
         return self.levels.figures
 

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from calflow.deployment.export import ControllerFigure, controller_figures, robot_of
-from calflow.deployment.figures_alone import NOT_COMPUTED, Levels
+from calflow.deployment.figures_alone import Levels
 from calflow.effects.geometry import Geometry
 from calflow.files.words import effect_words, first_up, listed, number
 from calflow.reporting.advice import BY_PRIOR
-from calflow.reporting.blocks import Block, Paragraph, Table, headed
+from calflow.reporting.blocks import Block, Heading, Paragraph, Table, headed
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
 from calflow.robot.formats.controller_files import added_to_readings
@@ -98,7 +98,7 @@ def _controller_figures(material: Material) -> list[Block]:
     curved = any(figure.figure == "beta" and figure.calibrated for row in joints.values() for figure in row)
     order = ORDER.get(robot.kinematics, OWN_FRAMES) + NO_BETA * curved
     header = [f"joint {i} [{joint.shown[0]}]" for i, joint in enumerate(robot.joints, start=1)]
-    added = [number(value, "+.4f") for value in zeros(robot, material.levels)] if material.levels else []
+    added = [number(value, "+.4f") for value in zeros(robot, material.levels)]
     markers = {name: list(parts[f"marker {name}"].values()) for name in robot.markers}
     bars, located = parts.get("loop", {}), any(parts["base"][name].fitted for name in BASE_FIGURES)
     return [
@@ -106,12 +106,9 @@ def _controller_figures(material: Material) -> list[Block]:
         Paragraph(f"{INTRODUCTION} {order}", keep=True),
         *figure_tables("joint", joints),
         *headed("Bars of the loop", *figure_tables("bar", {"length": list(bars.values())}), where=bars),
-        *headed(
-            "Zeros of the joints",
-            Paragraph(ZEROS + LOOPED * (robot.loop is not None), keep=True),
-            Table(header, [added], "r" * len(header), size=8),
-            where=added,
-        ),
+        Heading("Zeros of the joints"),
+        Paragraph(ZEROS + LOOPED * (robot.loop is not None), keep=True),
+        Table(header, [added], "r" * len(header), size=8),
         *headed("Tool", Paragraph(TOOL, keep=True), *figure_tables("marker", markers)),
         *headed("Base", *_base(parts["base"], robot.base.known), where=robot.base.known or located),
     ]
@@ -125,8 +122,6 @@ def zeros(robot: Robot, levels: Levels) -> np.ndarray:
 def _fitted_without(material: Material) -> list[Block]:
     """Return words on what the figures were fitted without, and on any harm that they do."""
     levels = material.levels
-    if levels is None:
-        return [Paragraph(f"{first_up(NOT_COMPUTED)}: run the study again.")]
     others = list(dict.fromkeys(effect_words(effect.id) for effect in levels.left_out))
     anew = [ANEW.format(others=listed(others, 6))] if others else []
     harm = [first_up(f"{levels.harm}.")] if levels.harm else []

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from calflow.deployment.figures_alone import GIVEN, MEANT, NOT_COMPUTED, EffortLevel
+from calflow.deployment.figures_alone import GIVEN, MEANT, EffortLevel
 from calflow.deployment.in_space import over_ranges
 from calflow.deployment.run_outcome import RunOutcome
 from calflow.deployment.usability import Advice, judgement, labels, least_effort, mistake_unsettled, no_gain_words
@@ -360,8 +360,7 @@ def levels_of_effort(material: Material) -> list[Block]:
     """Return the errors at each level of effort, which suffices, and whether each passes; nothing without figures."""
     if not material.has_figures:
         return []
-    if not (every := material.effort_levels):
-        return [Paragraph(f"{first_up(NOT_COMPUTED)}: run the study again.", 9)]
+    every = material.effort_levels
     unit, verdict = every[0].unit, held_against_tolerance(material)
     judged = verdict if verdict and verdict.poses and not verdict.useless else None
     header = ["what the robot is given", f"mean error [{unit}]", f"largest error [{unit}]"]
