@@ -24,7 +24,9 @@ import numpy as np
 from foreign_physics import ARMS, Yielding, measured_rows, points, worn
 from foreign_study import identified, write_study
 
-from calflow.diagnosis.fitted import Fitted
+from calflow.diagnosis import fitted
+from calflow.effects.cause import Cause
+from calflow.model import Model
 
 ARM, SIGMA, NOISES, ERRING = "arm-7", 2e-5, 5.0, (1, 3, 4)
 TINY = 1e-6  # rad, by which a displacement is told
@@ -70,13 +72,14 @@ def write(folder: Path, poses: int, rng: np.random.Generator) -> None:
 def counted() -> Counter[object]:
     """Count the models that are fitted with causes from now on."""
     fits: Counter[object] = Counter()
-    with_causes = Fitted._with_causes
+    settled = fitted._settled
 
-    def counting(self: Fitted, causes, *further):  # type: ignore[no-untyped-def]
-        fits[frozenset(causes)] += 1
-        return with_causes(self, causes, *further)
+    def counting(model: Model, *further):  # type: ignore[no-untyped-def]
+        if causes := frozenset(effect for effect in model.effects if isinstance(effect, Cause)):
+            fits[causes] += 1
+        return settled(model, *further)
 
-    Fitted._with_causes = counting  # type: ignore[method-assign]
+    fitted._settled = counting
     return fits
 
 

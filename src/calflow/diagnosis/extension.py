@@ -346,7 +346,7 @@ def weighed(
         searched.add(held)
         if left is not None and left.inputs:
             inputs = ", ".join(dict.fromkeys(map(" and ".join, left.inputs)))
-            search.say(f"left over, smooth in {inputs}: causes are tested beside it")
+            search.say(f"the residuals are smooth in {inputs}: causes are tested beside that")
         ended = _searched(replace(begin, fitted=replace(start, background=left, shared=now.shared)), beside, search)
         found = ended.fitted
         if frozenset(found.causes) == held:

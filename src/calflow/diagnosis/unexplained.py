@@ -134,7 +134,7 @@ def unexplained(
             continue
         if not any(set(structure.inputs) - {POSE} & set(other.inputs) for other in accepted):
             accepted.append(structure)
-            say(f"left over, depends on {' and '.join(structure.inputs)}: p = {structure.p:.2g}")
+            say(f"the residuals depend on {' and '.join(structure.inputs)}: p = {structure.p:.2g}")
     return accepted
 
 

@@ -164,7 +164,7 @@ def fit_effects(
             result, smooth = beside_smooth_errors(sizes, sizes.variance, float(out.excess()))
             errors = beyond_measured(smooth, sizes, sizes.variance)
             if sizes.inputs:
-                say("left over: smooth errors of " + ", ".join(sizes.inputs))
+                say(f"the residuals are smooth in {', '.join(sizes.inputs)}: uncertainties allow for it")
         error = leading_errors(model, result.estimate, data)
         rows += accuracy(name, error, data, k, model.effects[-1])
         advance(k / len(effects))
