@@ -454,12 +454,10 @@ def by_place(scores: Sequence[Score[H]]) -> dict[Place, tuple[float, Score[H]]]:
     groups: dict[Place, list[Score[H]]] = {}
     for score in scores:
         groups.setdefault(score.cause.place, []).append(score)
-    places = {}
-    for place, members in groups.items():
-        values = np.array([score.cost for score in members])
-        least = float(values.min())
-        places[place] = (least - 2 * float(np.log(np.exp((least - values) / 2).sum())), members[int(values.argmin())])
-    return places
+    return {
+        place: (-2 * float(np.logaddexp.reduce([-score.cost / 2 for score in members])), min(members, key=lambda one: one.cost))
+        for place, members in groups.items()
+    }  # fmt: skip
 
 
 def place_probabilities(places: Mapping[Place, tuple[float, Score]]) -> dict[Place, float]:

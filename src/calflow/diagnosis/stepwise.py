@@ -39,7 +39,6 @@ FEW_COLUMNS = 4  # parameters of a candidate at most: error maps have rivals of 
 BEST_VARIANTS = 8  # variants of one place, the best
 SPLIT = 10.0  # least decrease of cost for two causes in place of one (Kass and Raftery 1995: "very strong")
 DOUBT = 0.05  # relative error of a linear comparison with a rival, as a share of the cause's evidence
-WORTH = WITHIN  # cost: smaller doubts do not decide anything
 CLEAR = 1e-3  # share of the false-alarm rate below which the correction for tests need not be recomputed
 STEP_SHARE = 0.2  # progress of a step as a share of the remaining search, whose length is unknown
 MOST_TRIALS = 60  # models that are fitted in all: a search that needs more is cyclic
@@ -219,8 +218,8 @@ class Exchange(Generic[H]):
 def doubtful(finding: Detection[H]) -> list[Score[H]]:
     """Return the best variants of rivals that the linearisation does not exclude, best first; empty for a small cause."""
     doubt = -DOUBT * finding.own.cost
-    if doubt < WORTH:
-        return []
+    if doubt < WITHIN:
+        return []  # too small to decide anything
     others = (scored for place, scored in finding.places.items() if place != finding.cause.place)
     near = [(cost, score) for cost, score in others if cost - finding.cost < WITHIN + doubt]
     return [score for _, score in sorted(near, key=lambda scored: scored[0])]
