@@ -7,7 +7,6 @@ task point is reduced to a sequence of weighted means.
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -54,7 +53,8 @@ def relaxed(
     those of largest sensitivity are added until the equivalence theorem (Kiefer and Wolfowitz 1960) bounds the gap by a
     thousandth.
     """
-    return deque(_rounds(jacobians, prior, number, criterion, start), maxlen=1).pop()
+    *_, last = _rounds(jacobians, prior, number, criterion, start)
+    return last
 
 
 def bound_allows(jacobians: np.ndarray, prior: np.ndarray, number: int, criterion: Criterion, loss: float) -> bool:

@@ -89,11 +89,13 @@ def suspected(left: Sequence[UnexplainedStructure], scores: Sequence[Score[Cause
     """
     places = by_place(scores)
     probability = place_probabilities(places)
-    likeliest = sorted(places, key=lambda place: -probability[place])
+    causes = {
+        places[place][1].cause: probability[place] for place in sorted(places, key=lambda place: -probability[place])
+    }
     structures = []
-    for first, structure in zip((True, *[False] * len(left)), left, strict=False):
-        causes = [(places[place][1].cause, first and probability[place] >= SUSPECTED) for place in likeliest]
-        suspects = (cause for cause, likely in causes if likely or is_any_error_along(cause, structure.along))
+    for k, structure in enumerate(left):
+        least = SUSPECTED if k == 0 else np.inf
+        suspects = (c for c, likely in causes.items() if likely >= least or is_any_error_along(c, structure.along))
         structures.append(replace(structure, suspects=tuple(suspects)))
     return tuple(structures)
 
