@@ -64,27 +64,22 @@ class Difference:
         return squared, int(telling.sum()), float(scipy.stats.chi2.sf(squared, max(1, int(telling.sum()))))
 
 
-def _prior(parameter: Parameter) -> tuple[float, float]:
-    return parameter.prior_mean, parameter.prior_sd
-
-
 def comparable(first: CalibratedModel, second: CalibratedModel) -> list[tuple[int, int]]:
     """Return pairs of indices of parameters with the same name, nominal figure and prior that are off their bounds in both.
 
     Errors of base and tool are relative to their registered places, and are compared only where both registered the same.
     """
     elsewhere = _elsewhere(first, second)
-    places = {parameter.name: k for k, parameter in enumerate(second.model.parameters)}
+    places = {_stated(parameter): k for k, parameter in enumerate(second.model.parameters) if not second.at_bound[k]}
     return [
-        (k, places[parameter.name])
+        (k, places[_stated(parameter)])
         for k, parameter in enumerate(first.model.parameters)
-        if parameter.name in places
-        and parameter.part not in elsewhere
-        and parameter.figure == second.model.parameters[places[parameter.name]].figure
-        and _prior(parameter) == _prior(second.model.parameters[places[parameter.name]])
-        and not first.at_bound[k]
-        and not second.at_bound[places[parameter.name]]
+        if _stated(parameter) in places and parameter.part not in elsewhere and not first.at_bound[k]
     ]
+
+
+def _stated(parameter: Parameter) -> tuple[str, float, float, float]:
+    return parameter.name, parameter.figure, parameter.prior_mean, parameter.prior_sd
 
 
 def _elsewhere(first: CalibratedModel, second: CalibratedModel) -> set[str]:

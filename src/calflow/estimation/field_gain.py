@@ -75,7 +75,7 @@ class FieldGain:
         """The result in a sentence."""
         if not self.blocks:
             return f"residual field ({NOT_PHYSICAL}) not applied: {self.poses} poses with positions are too few for it"
-        before, after = (1e3 * float(np.sqrt((errors**2).mean())) for errors in (self.without, self.corrected))
+        before, after = _rms(self.without), _rms(self.corrected)
         were = f"the root mean square goes from {before:.3f} mm to {after:.3f} mm"
         if not self.gains:
             return (
@@ -214,4 +214,5 @@ def _row(correction: str, where: str, distance: np.ndarray, covered: float | Non
 
 
 def _rms(distance: np.ndarray) -> float:
+    """Return the root mean square of distances [m] in mm."""
     return 1e3 * float(np.sqrt((distance**2).mean()))

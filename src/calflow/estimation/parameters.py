@@ -21,6 +21,8 @@ from calflow.robot.parts import Expected, Parameter
 from calflow.robot.robot import Robot
 
 UNIT = "as `unit` says"
+# The columns of its display.
+SHOWN = ["parameter", "estimate", "sd", "unit", "lower", "upper", "prior_mean", "prior_sd", "at_bound", "fixed"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -240,19 +242,7 @@ class Parameters(Mapping[str, FittedParameter]):
 
     @property
     def _shown(self) -> pd.DataFrame:
-        columns = [
-            "parameter",
-            "estimate",
-            "sd",
-            "unit",
-            "lower",
-            "upper",
-            "prior_mean",
-            "prior_sd",
-            "at_bound",
-            "fixed",
-        ]
-        return self.table[columns].rename(columns={"estimate": "value"})
+        return self.table[SHOWN].rename(columns={"estimate": "value"})
 
     def __repr__(self) -> str:
         return self._shown.to_string(index=False, float_format="{:.6g}".format)
