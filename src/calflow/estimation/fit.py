@@ -6,7 +6,6 @@ share errors by an intraclass correlation, the mean over its restricted likeliho
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -414,21 +413,20 @@ class IntraclassLikelihood:
         free, sd = np.flatnonzero(~result.at_bound), result.model.prior_sd
         # The priors' residuals are left out: they would let the parameters' sizes tell of the noise.
         prior = np.diag(np.append(np.ones(len(free)), 0.0))
-        sums, numbers = dict[int, np.ndarray](), Counter[int]()
-        each = np.zeros_like(prior)
+        markers = np.unique(np.concatenate([block.sharing.size for block in problem.blocks]))
+        each, summed, number = np.zeros(prior.shape), np.zeros((len(markers), *prior.shape)), np.zeros(len(markers))
         for block in problem.blocks:
             for part, residual, jacobian in block.linearised(result.estimate):
                 both = np.concatenate([(jacobian * sd)[..., free], residual[:, :, None]], axis=2)
                 each += np.tensordot(both, both, ((0, 1), (0, 1)))
                 sharing = block.sharing.only(part)
                 together = np.add.reduceat(both, sharing.begins)
-                for size in map(int, np.unique(sharing.size)):
+                for k, size in enumerate(markers):
                     of_size = together[sharing.size == size]
-                    sums[size] = sums.get(size, 0.0) + np.tensordot(of_size, of_size, ((0, 1), (0, 1)))
-                    numbers[size] += of_size.shape[0] * of_size.shape[1]
-        markers, number = (np.array([*values]) for values in (sums, (numbers[size] for size in sums)))
+                    summed[k] += np.tensordot(of_size, of_size, ((0, 1), (0, 1)))
+                    number[k] += of_size.shape[0] * of_size.shape[1]
         freedom = max(1.0, result.residual.size - result.effective_parameters)
-        return IntraclassLikelihood(each, np.array([*sums.values()]), prior, markers, number, freedom)
+        return IntraclassLikelihood(each, summed, prior, markers, number, freedom)
 
     @property
     def correlation(self) -> float:
