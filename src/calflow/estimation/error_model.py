@@ -138,8 +138,8 @@ class ErrorsAtRows:
             jacobian: of the positions by the parameters, (n_rows, 3, n_parameters).
             covariance: of the parameters, including their offset.
         """
-        slopes, offset = self.slopes(jacobian), self.of.offset
-        alone = np.maximum(of_parameters(slopes, covariance) - (slopes @ offset) ** 2, 0.0)
+        offset = self.of.offset
+        alone = np.maximum(of_parameters(self.slopes(jacobian), covariance - np.outer(offset, offset)), 0.0)
         smooth = np.maximum((self.moved**2).sum(axis=2) - ((self.moved @ self.of.told) ** 2).sum(axis=2), 0.0)
         return np.asarray(self.of.rest**2 + smooth + alone + self.expected(jacobian, offset) ** 2)
 

@@ -7,6 +7,9 @@ the likelihood hardly limits its variance, but a half-normal prior does (Gelman 
 have about the usual size of one. Predictions use posterior mean variances: the likeliest, taken as known, make intervals too
 narrow (Kass and Steffey 1989).
 
+A linear problem is kept as its normal equations: priors, other units, another origin and the elimination of coefficients act on
+their matrix of inner products alone.
+
 Evidence: the marginal likelihood of amplitudes of unknown size, in closed form on a linearised model. A priori they are normal
 about zero with the standard deviations that a cause declares times one of SIZES, up to the usual size with equal probability and
 beyond with a probability that falls with size. This mixture has the tails of a Cauchy distribution (as Jeffreys 1961 asks of a
