@@ -119,13 +119,8 @@ def same_robot(first: Calibration, second: Calibration) -> Literal["the same", "
 def _holm(p: np.ndarray) -> np.ndarray:
     """Return the mask of significant p-values, corrected for multiple tests by Holm's method (1979)."""
     order = np.argsort(p)
-    passed = (
-        np.cumprod(p[order] <= DIFFERENT / (len(p) - np.arange(len(p)))).astype(bool)
-        if len(p)
-        else np.zeros(0, dtype=bool)
-    )
     rejected = np.zeros(len(p), dtype=bool)
-    rejected[order] = passed
+    rejected[order] = np.logical_and.accumulate(p[order] <= DIFFERENT / (len(p) - np.arange(len(p))))
     return rejected
 
 
