@@ -27,7 +27,7 @@ from reporting.page_one import of_run, unreadable
 
 DOCS = Path(__file__).parents[1] / "docs"
 PAGES = (  # in the order in which a newcomer reads them
-    *("tutorial", "robots", "import", "select", "next", "identify", "diagnose", "sample"),
+    *("tutorial", "robots", "import", "board_poses", "select", "next", "identify", "diagnose", "sample"),
     *("compensate", "programs", "export", "ros", "validate", "drift", "compare", "reproduce", "residual_field"),
 )
 EVERY = sorted([*DOCS.rglob("*.md"), *DOCS.parent.glob("*.md"), *DOCS.parent.joinpath("benchmarks").rglob("*.md")])
