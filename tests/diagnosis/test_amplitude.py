@@ -9,7 +9,7 @@ import pytest
 
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.trial import Linearisation
-from calflow.diagnosis.verdict import amplitude, found_amplitude, same_quantities
+from calflow.diagnosis.verdict import Amplitude, amplitude, found_amplitude, same_quantities
 from diagnosis.found import cause, hidden, start
 
 FIRST, SECOND = (cause("joint-eccentricity", "joint2", order=order) for order in (1, 2))
@@ -53,19 +53,37 @@ def test_one_form_alone_is_as_sure_as_its_fit(fitted, finding):
     """Breaks if forms that the data exclude widen the interval."""
     own = fitted.model.columns(SECOND)
     alone = amplitude(SECOND, fitted.fit.estimate[own], fitted.fit.covariance[np.ix_(own, own)])
-    assert found_amplitude(finding, fitted) == pytest.approx(alone, rel=1e-6)
+    size = found_amplitude(finding, fitted)
+    assert (size.estimate, size.sd) == pytest.approx(alone, rel=1e-6)
+    assert (size.low, size.high) == pytest.approx(alone[0] + 1.96 * alone[1] * np.array([-1, 1]), abs=0.15 * alone[1])
 
 
 def test_two_forms_alike_leave_the_amplitude_open(fitted, finding):
     """Breaks if the amplitude of the better of two orders is told as if the other were excluded."""
     even = with_evidence(finding, 0.0)
     other = next(s for s in even.scores if s.cause.place == SECOND.place and s.cause.detail == FIRST.detail)
-    estimate, sd = found_amplitude(even, fitted)
+    told, alone = found_amplitude(even, fitted), found_amplitude(finding, fitted)
     size, spread = amplitude(other.cause, other.estimate, other.covariance)
-    assert sd**2 == pytest.approx(
-        (found_amplitude(finding, fitted)[1] ** 2 + spread**2 + (size - estimate) ** 2) / 2, rel=1e-6
-    )
-    assert sd > found_amplitude(with_evidence(finding, 6.0), fitted)[1] > found_amplitude(finding, fitted)[1]
+    assert told.sd**2 == pytest.approx((alone.sd**2 + spread**2 + (size - told.estimate) ** 2) / 2, rel=1e-6)
+    assert told.sd > found_amplitude(with_evidence(finding, 6.0), fitted).sd > alone.sd
+
+
+def test_a_size_that_cannot_be_zero_is_not_said_to_be_perhaps_zero(fitted, finding):
+    """Breaks if two forms of different lengths, or a length that the data hardly show, count as normal about the estimate."""
+    even = with_evidence(finding, 0.0)
+    far = [
+        replace(score, estimate=100 * score.estimate) if score.cause.detail == FIRST.detail else score
+        for score in even.scores
+    ]
+    told = found_amplitude(replace(even, scores=tuple(far)), fitted)
+    (other,) = (s for s in far if s.cause.place == SECOND.place and s.cause.detail == FIRST.detail)
+    assert told.estimate - 1.96 * told.sd < 0 < told.low < told.estimate < told.high
+    assert told.differs_from_zero
+    assert told.low == pytest.approx(told.estimate, rel=0.2)
+    assert told.high == pytest.approx(amplitude(other.cause, other.estimate, other.covariance)[0], rel=0.2)
+    curve = Amplitude.of_squares(3e-4, 2e-4)
+    drawn = curve.estimate * np.sqrt(np.random.default_rng(3).chisquare(9 / 8, 100_000) / (9 / 8))
+    assert (curve.low, curve.high) == pytest.approx(np.quantile(drawn, [0.025, 0.975]), rel=0.05)
 
 
 def test_a_cause_at_its_bound_has_no_spread(fitted, finding):
@@ -73,7 +91,7 @@ def test_a_cause_at_its_bound_has_no_spread(fitted, finding):
     model = fitted.model
     bounded = replace(fitted, fit=replace(fitted.fit, estimate=np.where(np.isin(np.arange(len(model.parameters)),
                       model.columns(SECOND)), model.bounds[:, 1], fitted.fit.estimate)))  # fmt: skip
-    assert found_amplitude(with_evidence(finding, 0.0), bounded)[1] == 0
+    assert found_amplitude(with_evidence(finding, 0.0), bounded).sd == 0
     knee, cubic = cause("nonlinear-joint-stiffness", "joint2", knee=0.3), cause("nonlinear-joint-stiffness", "joint2")
     assert not same_quantities(knee, cubic)
     assert same_quantities(FIRST, SECOND)

@@ -10,11 +10,12 @@ from types import SimpleNamespace
 import pytest
 
 from calflow.diagnosis.diagnosis import search_causes
-from calflow.diagnosis.verdict import deployed_causes
+from calflow.diagnosis.verdict import Amplitude, deployed_causes
 from diagnosis.found import hidden, start
 from estimation.data import SIGMA, calibration
 
-SIZES = {"named": (5.0, 1.0), "vague": (1.0, 1.0), "one_of": (5.0, 1.0)}  # with their standard deviations
+SURE, UNSURE = Amplitude(5.0, 1.0, 3.0, 7.0), Amplitude(1.0, 1.0, -1.0, 3.0)
+SIZES = {"named": SURE, "vague": UNSURE, "one_of": SURE}
 
 
 @pytest.fixture(autouse=True)

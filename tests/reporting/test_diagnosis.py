@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from calflow.deployment.run_outcome import RunOutcome
+from calflow.diagnosis.findings import Finding
 from calflow.effects import catalogue
 from calflow.effects.wording import amount, cause_name, place_name, place_names
 from calflow.files.tables import Results
@@ -448,6 +449,27 @@ def test_sizes_are_in_units_that_an_engineer_reads(
 ) -> None:
     """Fails if a size is off by a factor, or stands in SI."""
     assert amount(cause, estimate, sd, unit) == words
+
+
+@pytest.mark.parametrize(
+    ("cause", "size", "unit", "words"),
+    [
+        ("joint-eccentricity", (1.14e-4, 1.16e-4, 9.8e-5, 4.4e-4), "rad", "114 µrad (95 %: 98 to 440)"),
+        ("gravity-deflection", (2.5e-3, 2e-3, 5e-4, 6e-3), "rad", "2.5 mrad (95 %: 0.5 to 6)"),
+        ("link-bending", (4e-7, 3e-7, 2e-7, 1e-6), "1/Nm2", "2.5 MNm² (95 %: 1 to 5)"),
+        ("joint-backlash", (-1e-5, 1e-5, -3e-5, 1e-5), "rad", "−10 ± 10 µrad"),
+        ("joint-eccentricity", (3.85e-4, 1.1e-5, 3.6e-4, 4.1e-4), "rad", "385 ± 11 µrad"),
+    ],
+)
+def test_a_deviation_that_would_reach_zero_gives_way_to_the_interval(
+    cause: str, size: tuple[float, ...], unit: str, words: str
+) -> None:
+    """Fails if a size that cannot be zero is followed by a deviation as large as it, or any other size by more than that."""
+    estimate, sd, low, high = size
+    finding = Finding(
+        status="named", cause=cause, estimate=estimate, sd=sd, unit=unit, low=low, high=high, statement=""
+    )
+    assert finding.amount == words
 
 
 def test_units_survive_a_csv(small: Context) -> None:

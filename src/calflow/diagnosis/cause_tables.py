@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import casadi as ca
 import numpy as np
 import scipy
 
@@ -15,7 +14,7 @@ from calflow.diagnosis.noise_growth import RANGE, Growth
 from calflow.diagnosis.regressors import candidates_of
 from calflow.diagnosis.screening import Score, by_place, f_threshold, place_probabilities
 from calflow.diagnosis.trial import Screened
-from calflow.diagnosis.verdict import SIZE, Change, ModelInReach, amplitude, probabilities
+from calflow.diagnosis.verdict import SIZE, Change, ModelInReach, amplitude, probabilities, sizes
 from calflow.effects import Effect, catalogue
 from calflow.effects.base import NOTHING, Variable
 from calflow.effects.cause import Cause
@@ -180,8 +179,7 @@ def _sizes(cause: Cause, values: np.ndarray) -> np.ndarray:
     travel = cause.effect.travel(cause.joint) if cause.joint else None
     if travel:
         return np.asarray(np.sqrt(np.einsum("ni,ij,nj->n", values, travel.products, values)))
-    p = ca.SX.sym("p", values.shape[1])
-    return np.abs(np.array(ca.Function("size", [p], [cause.effect.size(p)])(values.T))).ravel()
+    return np.abs(sizes(cause, values))
 
 
 @dataclass(frozen=True, kw_only=True)

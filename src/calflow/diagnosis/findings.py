@@ -17,11 +17,19 @@ from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.misfit import Misfit
 from calflow.diagnosis.noise_growth import RANGE, Growth
 from calflow.diagnosis.unexplained import POSE, UnexplainedStructure, is_any_error_along, predicted
-from calflow.diagnosis.verdict import SIZE, Rival, Verdict, found_amplitude, named
+from calflow.diagnosis.verdict import SIZE, Amplitude, Rival, Verdict, found_amplitude, named
 from calflow.effects import catalogue
 from calflow.effects.base import IN_TIME, NONLINEAR, SMOOTH_IN
 from calflow.effects.cause import Cause
-from calflow.effects.wording import UNEXPLAINED, NamedCause, amount, cause_family, cause_name, cause_words
+from calflow.effects.wording import (
+    UNEXPLAINED,
+    NamedCause,
+    amount,
+    amount_between,
+    cause_family,
+    cause_name,
+    cause_words,
+)
 from calflow.estimation.accuracy import distances, errors, gain, judged_unit
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.extrapolation import Curve
@@ -36,6 +44,7 @@ from calflow.model import Model
 from calflow.observations import leading_units
 
 NAN = float("nan")
+CERTAIN = 1.96  # standard deviations of a 95 % interval
 PLACE = {"x", "y", "z"}  # inputs that are the tool's place
 INPUTS_IN_WORDS = {
     "pose": "the pose (all its markers are off alike)",
@@ -118,6 +127,8 @@ class Finding:
         "posterior probability of this cause or another of its family at its joint (any kind of lost motion); empty: no family",
         default=NAN,
     )
+    low: float = column("lower end of the size's 95 % interval, whichever form of the cause is true", UNIT, default=NAN)
+    high: float = column("upper end of it", UNIT, default=NAN)
 
     def __post_init__(self) -> None:
         """Check that each rival has a cause and a joint."""
@@ -210,7 +221,9 @@ class Finding:
 
     @property
     def amount(self) -> str:
-        """Its size with its standard deviation, in a unit that is easy to read."""
+        """Its size in a unit that is easy to read, with its standard deviation, or its interval where that would include zero."""
+        if abs(self.estimate) < CERTAIN * self.sd and self.low * self.high > 0:
+            return amount_between(self.cause, self.estimate, (self.low, self.high), self.unit)
         return amount(self.cause, self.estimate, self.sd, self.unit)
 
     @property
@@ -344,10 +357,11 @@ def _together(rows: Sequence[Finding], verdicts: Sequence[Verdict]) -> Finding:
     same = [row for row in rows if (row.unit, cause_words(row.cause).size) == (lead.unit, measured)]
     size = float(np.sqrt(sum(row.estimate**2 for row in same)))
     sd = float(np.sqrt(sum((row.estimate * row.sd) ** 2 for row in same))) / size
+    whole = Amplitude.of_squares(size, sd)
     names = [f"{cause.title} ({cause.detail})" if cause.detail else cause.title for cause in causes]
     carried = [row.carries_over for row in rows]
     return replace(
-        lead, status="one_of", estimate=size, sd=sd, p_family=min(row.p_family for row in rows),
+        lead, status="one_of", estimate=size, sd=sd, low=whole.low, high=whole.high, p_family=min(row.p_family for row in rows),
         probability=min(row.probability for row in rows),
         family_probability=max(row.family_probability for row in rows),
         cannot_tell_from=tuple(name for name in alike if name != lead.cause),
@@ -365,15 +379,16 @@ def _cause(verdict: Verdict, fitted: Fitted, left: UnexplainedStructure | None, 
     cause, carries_over = verdict.finding.cause, verdict.finding.carries_over
     own = fitted.model.columns(cause)
     curve = Curve.of(cause, fitted.fit.estimate[own], fitted.fit.covariance[np.ix_(own, own)])
-    estimate, sd = curve.rms_over_travel if curve else found_amplitude(verdict.finding, fitted)
+    size = Amplitude.of_squares(*curve.rms_over_travel) if curve else found_amplitude(verdict.finding, fitted)
     others = list(dict.fromkeys(rival.id for rival in verdict.others))
     if left:
         same = _relatives(cause) if is_any_error_along(cause, left.inputs) else [UNEXPLAINED]
         others += [name for name in same if name not in others]
     doubts = (NOT_CARRIED if carries_over is False else "") + ("" if deployed else NOT_DEPLOYED)
     return Finding(
-        status="one_of" if others else verdict.status, cause=cause.id, joint=cause.joint or None, estimate=estimate,
-        sd=sd if sd > 0 else NAN, unit=cause.declared[0].unit, p_family=verdict.finding.p, probability=verdict.of_effect,
+        status="one_of" if others else verdict.status, cause=cause.id, joint=cause.joint or None, estimate=size.estimate,
+        sd=size.sd if size.sd > 0 else NAN, low=size.low, high=size.high, unit=cause.declared[0].unit,
+        p_family=verdict.finding.p, probability=verdict.of_effect,
         family_probability=verdict.of_family if cause.family else NAN,
         cannot_tell_from=tuple(others), detail=_detail(verdict),
         **Finding.of_rivals([named(rival) for rival in verdict.others]),

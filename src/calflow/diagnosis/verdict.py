@@ -34,7 +34,8 @@ from calflow.estimation.leverage import UNSURE
 
 # Exponent of the evidence for an unnamed error, whose form is itself a guess (tempered likelihood, Grünwald and van Ommen 2017).
 TEMPERED = 0.5
-CERTAIN = 1.96  # standard deviations of a 95 % interval
+INTERVAL = np.array([0.025, 0.975])  # quantiles at the ends of a 95 % interval
+DRAWS = 4000  # sizes drawn for an interval
 
 Status = Literal["named", "one_of"]
 NEGLIGIBLE = 0.02  # probability below which a rival does not affect intervals
@@ -286,6 +287,28 @@ def probabilities(models: Sequence[ModelInReach]) -> np.ndarray:
     return np.asarray(scipy.special.softmax([model.log_weight for model in models])) if models else np.zeros(0)
 
 
+@dataclass(frozen=True)
+class Amplitude:
+    """A cause's size as one figure, with its standard deviation and the ends of its 95 % interval."""
+
+    estimate: float
+    sd: float
+    low: float
+    high: float
+
+    @staticmethod
+    def of_squares(estimate: float, sd: float) -> Amplitude:
+        """Return a root of a sum of squares, which is approximately a scaled chi² variable (Satterthwaite 1946)."""
+        freedom = (estimate / sd) ** 2 / 2
+        low, high = estimate * np.sqrt(scipy.stats.chi2.ppf(INTERVAL, freedom) / freedom)
+        return Amplitude(estimate, sd, float(low), float(high))
+
+    @property
+    def differs_from_zero(self) -> bool:
+        """Whether its interval excludes zero."""
+        return self.low * self.high > 0
+
+
 def amplitude(cause: Cause, values: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
     """Return one figure for a cause's parameters, and its standard deviation; a single parameter keeps its sign."""
     if len(values) == 1:
@@ -298,26 +321,40 @@ def amplitude(cause: Cause, values: np.ndarray, covariance: np.ndarray) -> tuple
     return float(figure[0]), float(np.sqrt(slope @ covariance @ slope))
 
 
-def found_amplitude(finding: Detection, fitted: Fitted) -> tuple[float, float]:
-    """Return a found cause's amplitude in the final model, and its standard deviation averaged over its forms.
+def sizes(cause: Cause, values: np.ndarray) -> np.ndarray:
+    """Return the size of a cause for values of its parameters (n, n_parameters), as findings state it, (n,)."""
+    if values.shape[1] == 1:
+        return values[:, 0]
+    p = ca.SX.sym("p", values.shape[1])
+    return np.array(ca.Function("size", [p], [cause.effect.size(p)])(values.T)).ravel()
+
+
+def found_amplitude(finding: Detection, fitted: Fitted) -> Amplitude:
+    """Return a found cause's amplitude in the final model, with deviation and interval over all its forms.
 
     Another form (another order, say) can explain the data as well with another amplitude. Each form is weighted by its evidence
-    (Bayesian model averaging: Hoeting et al. 1999), about the estimate of the best one.
+    (Bayesian model averaging: Hoeting et al. 1999). The interval is that of sizes drawn from the posterior: a length is not normal
+    about its estimate, nor are two forms of different amplitudes.
     """
     cause = finding.cause
     columns = fitted.model.columns(cause)
-    estimate, sd = amplitude(cause, fitted.fit.estimate[columns], fitted.covariance[np.ix_(columns, columns)])
+    own = fitted.fit.estimate[columns], fitted.covariance[np.ix_(columns, columns)]
+    estimate, sd = amplitude(cause, *own)
     if sd == 0:
-        return estimate, sd  # at a bound
-    forms = [score for score in finding.scores if score.cause.place == cause.place]
-    others = [s for s in forms if s.cause != cause and same_quantities(s.cause, cause)]
-    least = min(score.cost for score in forms)
-    variances, weights = [sd**2], [np.exp((least - finding.own.cost) / 2)]
-    for score in others:
-        other, other_sd = amplitude(score.cause, score.estimate, score.covariance)
-        variances.append(other_sd**2 + (other - estimate) ** 2)
-        weights.append(np.exp((least - score.cost) / 2))
-    return estimate, float(np.sqrt(np.average(variances, weights=weights)))
+        return Amplitude(estimate, sd, estimate, estimate)  # at a bound
+    forms = [(finding.own.cost, cause, *own)]
+    for score in finding.scores:
+        if score.cause.place == cause.place and score.cause != cause and same_quantities(score.cause, cause):
+            forms.append((score.cost, score.cause, score.estimate, score.covariance))
+    shares = scipy.special.softmax([-cost / 2 for cost, *_ in forms])
+    rng, drawn, square = np.random.default_rng(0), list[np.ndarray](), 0.0
+    for share, (_, form, values, covariance) in zip(shares, forms, strict=True):
+        other, other_sd = amplitude(form, values, covariance)
+        square += share * (other_sd**2 + (other - estimate) ** 2)
+        if number := round(DRAWS * share):
+            drawn.append(sizes(form, rng.multivariate_normal(values, covariance, number, method="eigh")))
+    low, high = np.quantile(np.concatenate(drawn), INTERVAL)
+    return Amplitude(estimate, float(np.sqrt(square)), float(low), float(high))
 
 
 def same_quantities(cause: Cause, other: Cause) -> bool:
@@ -357,5 +394,4 @@ def deployed_causes(extended: Extended, verdicts: Sequence[Verdict], identified_
 
 def is_certain(verdict: Verdict, fitted: Fitted) -> bool:
     """Whether a cause is named, and its amplitude differs significantly from zero, averaged over its forms."""
-    estimate, sd = found_amplitude(verdict.finding, fitted)
-    return verdict.status == "named" and abs(estimate) > CERTAIN * sd
+    return verdict.status == "named" and found_amplitude(verdict.finding, fitted).differs_from_zero

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from calflow.effects.base import Words, effect_class
-from calflow.files.words import effect_words, listed, with_sd
+from calflow.files.words import effect_words, listed, rounded, with_sd
 
 UNEXPLAINED = "unexplained"  # in place of a cause: an unnamed error that depends on the same input
 UNITS = {
@@ -98,8 +98,20 @@ def amount(cause: str, estimate: float, sd: float, unit: str) -> str:
     if unit == FLEXIBILITY and estimate > 0:
         sd /= estimate**2
     estimate, unit = as_stiffness(estimate, unit)
-    factor, unit_shown = readable_size(cause, unit)
-    if unit_shown == "µrad" and abs(estimate) >= LARGE_ANGLE:
-        factor, unit_shown = 1e3, "mrad"
+    factor, unit_shown = _display(cause, estimate, unit)
     value, deviation = with_sd(factor * estimate, factor * sd)
     return f"{value} ± {deviation} {unit_shown}" if deviation != "–" else f"{value} {unit_shown}"
+
+
+def amount_between(cause: str, estimate: float, ends: tuple[float, float], unit: str) -> str:
+    """Return an estimate with the ends of its 95 % interval in display units, likewise."""
+    (value, unit), *others = (as_stiffness(size, unit) for size in (estimate, *ends))
+    factor, unit_shown = _display(cause, value, unit)
+    low, high = (rounded(factor * size, 2) for size in sorted(size for size, _ in others))
+    return f"{rounded(factor * value)} {unit_shown} (95 %: {low} to {high})"
+
+
+def _display(cause: str, size: float, unit: str) -> tuple[float, str]:
+    """Return the factor from SI and the display unit of a cause of this size."""
+    factor, shown = readable_size(cause, unit)
+    return (1e3, "mrad") if shown == "µrad" and abs(size) >= LARGE_ANGLE else (factor, shown)
