@@ -18,6 +18,7 @@ from calflow.estimation.error_model import ErrorModel, SmoothVariances, beside_s
 from calflow.estimation.extrapolation import beyond_measured
 from calflow.estimation.fit import Fit, fit_reweighted
 from calflow.estimation.least_squares import LeastSquares
+from calflow.estimation.model_tables import FUNCTIONS
 from calflow.estimation.needed_conditions import needed_conditions
 from calflow.estimation.noise import PerUnit
 from calflow.estimation.smooth_functions import InPlace, JointField, Shift, is_mean
@@ -287,7 +288,7 @@ def test_a_table_brings_it_back():
     """Fails if what a run folder keeps of it promises another error."""
     data = wavering(7)
     _, result, errors = fitted(data)
-    again = read_errors(error_table(errors, result.model), result.model)
+    again = read_errors(error_table(errors, result.model), result.model, FUNCTIONS)
     assert again.functions == errors.functions
     assert again.rest == errors.rest
     for name in ("sd", "mean", "slope", "told", "offset"):

@@ -26,7 +26,6 @@ from calflow.estimation.probing import Probe
 from calflow.estimation.smooth_functions import Part, SmoothFunction, is_mean, means, smooth_functions
 from calflow.estimation.variance_components import NormalEquations, VarianceComponents
 from calflow.files.deferred import pd
-from calflow.files.plugins import subclasses
 from calflow.files.tables import column, typed
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
@@ -213,10 +212,9 @@ def error_table(errors: ErrorModel, model: Model) -> pd.DataFrame:
     return typed(pd.concat([named, numbers], axis=1), SmoothAmplitude)
 
 
-def read_errors(table: pd.DataFrame, model: Model) -> ErrorModel:
-    """Return the error model of an `error_table`."""
+def read_errors(table: pd.DataFrame, model: Model, kinds: Mapping[str, type[SmoothFunction]]) -> ErrorModel:
+    """Return the error model of an `error_table`, with functions of these kinds by name."""
     offset, table = table.iloc[0], table.iloc[1:]
-    kinds = {kind.__name__: kind for kind in subclasses(SmoothFunction)}
     functions = [
         kinds[kind].of_figures(model.robot, figures)
         for kind, figures in table.drop_duplicates("function")[["kind", "figures"]].to_numpy(dtype=str)

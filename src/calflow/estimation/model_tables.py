@@ -24,7 +24,9 @@ from calflow.estimation.noise import Noise, PerUnit, Source
 from calflow.estimation.parameters import FittedParameter, covariance_table
 from calflow.estimation.residual_field import SUMMARY as FIELD
 from calflow.estimation.residual_field import read_field
+from calflow.estimation.smooth_functions import SmoothFunction
 from calflow.files.deferred import pd
+from calflow.files.plugins import subclasses
 from calflow.files.problems import refuse
 from calflow.files.tables import Results, column, to_frame
 from calflow.files.toml import adapter
@@ -38,6 +40,7 @@ from calflow.robot.robot import Robot
 
 ROBOT_FILE, REGISTERED = "robot file", "registered"  # the origin of a place
 NOT_TURNED = (0.0, 0.0, 0.0)
+FUNCTIONS = {kind.__name__: kind for kind in subclasses(SmoothFunction)}  # by the names in an error table
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -379,7 +382,7 @@ def _read(stage: str, robot: Robot, results: Results, given: tuple[str, ...]) ->
         covariance.iloc[:, 1:].to_numpy(dtype=float),
         np.array([parameter.at_bound for parameter in parameters], dtype=bool),
         **read_error_model(stage, results, model.observations),
-        errors=read_errors(results.tables[f"{stage}/errors.csv"], model),
+        errors=read_errors(results.tables[f"{stage}/errors.csv"], model, FUNCTIONS),
         needed=tuple(needed),
         time_origin=time_origin,
         payloads=payloads,
