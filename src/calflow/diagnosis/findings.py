@@ -221,9 +221,9 @@ class Finding:
 
     @property
     def amount(self) -> str:
-        """Its size in a unit that is easy to read, with its standard deviation, or its interval where that would include zero."""
+        """Its size with its standard deviation, or its interval where that would include zero, in a unit that is easy to read."""
         if abs(self.estimate) < CERTAIN * self.sd and self.low * self.high > 0:
-            return amount_between(self.cause, self.estimate, (self.low, self.high), self.unit)
+            return amount_between(self.cause, self.low, self.high, self.unit)
         return amount(self.cause, self.estimate, self.sd, self.unit)
 
     @property

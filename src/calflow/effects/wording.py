@@ -103,12 +103,11 @@ def amount(cause: str, estimate: float, sd: float, unit: str) -> str:
     return f"{value} ± {deviation} {unit_shown}" if deviation != "–" else f"{value} {unit_shown}"
 
 
-def amount_between(cause: str, estimate: float, ends: tuple[float, float], unit: str) -> str:
-    """Return an estimate with the ends of its 95 % interval in display units, likewise."""
-    (value, unit), *others = (as_stiffness(size, unit) for size in (estimate, *ends))
-    factor, unit_shown = _display(cause, value, unit)
-    low, high = (rounded(factor * size, 2) for size in sorted(size for size, _ in others))
-    return f"{rounded(factor * value)} {unit_shown} (95 %: {low} to {high})"
+def amount_between(cause: str, low: float, high: float, unit: str) -> str:
+    """Return a 95 % interval in display units, likewise."""
+    (low, shown), (high, _) = sorted(as_stiffness(end, unit) for end in (low, high))
+    factor, unit_shown = _display(cause, high, shown)
+    return f"{rounded(factor * low, 2)} to {rounded(factor * high, 2)} {unit_shown} (95 %)"
 
 
 def _display(cause: str, size: float, unit: str) -> tuple[float, str]:
