@@ -10,7 +10,14 @@ import pytest
 
 from calflow.diagnosis.screening import Family
 from calflow.diagnosis.trial import Detection
-from calflow.diagnosis.verdict import MOST_FITTED, ModelInReach, Rival, fitted_alternatives, verdict
+from calflow.diagnosis.verdict import (
+    MOST_FITTED,
+    ModelInReach,
+    Rival,
+    _forms_by_other_conditions,
+    fitted_alternatives,
+    verdict,
+)
 from calflow.effects.cause import Cause
 from calflow.effects.wording import UNEXPLAINED
 from calflow.estimation.calibrated_model import Alternative, choice_errors
@@ -70,6 +77,27 @@ def test_a_probable_cause_beside_those_found_is_an_alternative(final):
     ]
     assert (other.gone, other.rival) == (None, probable.causes[-1])
     assert other.probability == pytest.approx(np.exp(0.5) / (1 + np.exp(0.5) + np.exp(-4.0)))
+
+
+def test_forms_by_other_conditions_are_alternatives(final):
+    """Fails if forms by one clock are fitted side by side, or one by another counts for itself alone, or however improbable."""
+    costs = {1800.0: -50.0, 3600.0: -49.0, 0.0: -48.0}
+    scores = tuple(score(cost, "thermal-growth", constant=constant) for constant, cost in costs.items())
+    model = replace(final.model, given=("time", "temperature"))
+
+    def others(own):
+        found = verdict(Detection(scores[own].cause, scores, Family({}, 1.0)))
+        return _forms_by_other_conditions(found, model), found.probability
+
+    share = np.exp(-np.array(list(costs.values())) / 2)
+    share /= share.sum()
+    by_temperature, p = others(0)
+    assert by_temperature == [(pytest.approx(p * share[2]), scores[2].cause)]
+    by_time, p = others(2)
+    assert by_time == [(pytest.approx(p * share[:2].sum()), scores[0].cause)]
+    costs[0.0] = -40.0
+    scores = tuple(score(cost, "thermal-growth", constant=constant) for constant, cost in costs.items())
+    assert others(0)[0] == []
 
 
 @pytest.mark.parametrize("used", [True, False])

@@ -15,6 +15,10 @@ from hidden.simulator import Array
 
 BENDING = Case(hidden=(Hidden("link-bending", 2, 5e-8),), payloads=("none",), poses=90, effects=("geometry",))
 OFF_CENTRE = Case(hidden=(Hidden("joint-eccentricity", 2, 1e-3),), payloads=("none",), poses=240, effects=("geometry",))
+WARMS = Case(
+    hidden=(Hidden("thermal-growth", size=2.3e-5),), payloads=("none",), poses=120, effects=("geometry",),
+    columns=("time", "temperature"),
+)  # fmt: skip
 
 
 def written(folder: Path, case: Case, seed: int, heavier: Array, low: float) -> tuple[World, Array]:
@@ -80,6 +84,31 @@ def test_a_rival_that_differs_elsewhere_widens_the_promise_there(tmp_path: Path)
     )
     assert moved.moved[0].cannot_tell_from
     assert moved.next_poses
+
+
+def test_a_form_by_another_clock_widens_the_promise_where_the_two_part(tmp_path: Path) -> None:
+    """Fails if a promise goes by the time alone where a warm-up is told as well by the thermometer that rose with it.
+
+    The arm grows with its temperature, which rises as by one time constant while it is measured. Later it has cooled.
+    """
+    rng = np.random.default_rng(3)
+    world = draw(WARMS, rng)
+    rows = replace(world.rows, temperature=20 + 6 * (1 - np.exp(-world.rows.time / 3000)))
+    world = replace(world, rows=rows)
+    write_case(tmp_path, WARMS, np.random.default_rng(3))
+    table, _ = measure(WARMS, world, measured_points(world.real, rows, world.hidden), rng)
+    table.to_csv(tmp_path / "measurements.csv", index=False)
+    found = diagnosed(tmp_path, "thermal-growth")
+    assert [finding.cause for finding in found.findings] == ["thermal-growth"]
+    (other,) = (one for one in found.alternatives if one.gone and one.rival and one.gone.place == one.rival.place)
+    assert "with the temperature" in {other.gone.detail, other.rival.detail}
+    cold = replace(rows, time=rows.time + rows.time.max(), temperature=np.full(len(rows.q), 21.0))
+    points = measured_points(world.real, cold, world.hidden)
+    clocks = {"payload": "none", "time": cold.time, "temperature": cold.temperature + 273.15}
+    error = rms(found.predict(cold.q, **clocks).position - points)
+    by_the_likeliest = replace(found, alternatives=tuple(one for one in found.alternatives if one is not other))
+    with_both, by_one = (rms(one.predict(cold.q, **clocks).sd) for one in (found, by_the_likeliest))
+    assert by_one < 0.5 * error < with_both
 
 
 def promised(found: cf.Calibration, q: Array) -> float:

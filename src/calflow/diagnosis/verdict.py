@@ -31,6 +31,8 @@ from calflow.effects.cause import Cause
 from calflow.effects.wording import UNEXPLAINED, NamedCause
 from calflow.estimation.calibrated_model import MANY, Alternative
 from calflow.estimation.leverage import UNSURE
+from calflow.estimation.needed_conditions import depended_on
+from calflow.model import Model
 
 # Exponent of the evidence for an unnamed error, whose form is itself a guess (tempered likelihood, Grünwald and van Ommen 2017).
 TEMPERED = 0.5
@@ -144,14 +146,20 @@ def fitted_alternatives(
 ) -> tuple[Alternative, ...]:
     """Return models with the likeliest rivals fitted in the causes' places, one at a time, except untestable rivals.
 
-    Causes that are suspected, and so not in the model to be used, and their rivals are further alternatives, as are probable
-    causes beside those found: too small to be named for certain, they shift predictions all the same.
+    A form of a cause that depends on other conditions of a row is a rival too. Causes that are suspected, and so not in the model
+    to be used, and their rivals are further alternatives, as are probable causes beside those found: too small to be named for
+    certain, they shift predictions all the same.
     """
     asked: list[tuple[float, Cause | None, Cause | None]] = [
         (_probability(verdict, rival), verdict.finding.cause, rival.cause)
         for verdict in verdicts
         for rival in verdict.rivals
         if rival.cause is not None or rival.id == UNEXPLAINED
+    ]
+    asked += [
+        (probability, verdict.finding.cause, form)
+        for verdict in verdicts
+        for probability, form in _forms_by_other_conditions(verdict, final.model)
     ]
     for verdict in suspected:
         asked.append((verdict.probability, None, verdict.finding.cause))
@@ -171,6 +179,24 @@ def fitted_alternatives(
         fit = final.fit_with([*stay, *come])
         alternatives.append(Alternative(fit.model, fit.estimate, probability, gone, next(iter(come), None)))
     return tuple(alternatives)
+
+
+def _forms_by_other_conditions(verdict: Verdict, model: Model) -> list[tuple[float, Cause]]:
+    """Return the best form of a cause by each other set of a row's conditions, with the probability of all forms by these.
+
+    Forms by the same conditions agree wherever these were measured; others agree with them only for as long as their conditions
+    change together, as the temperature and the time do while an arm warms up.
+    """
+    finding = verdict.finding
+    forms = [(verdict.probability * np.exp((finding.cost - score.cost) / 2), score.cause) for score in finding.scores
+             if score.cause.place == finding.cause.place]  # fmt: skip
+    by_conditions: dict[tuple[str, ...], list[tuple[float, Cause]]] = {}
+    for probability, form in forms:
+        if probability >= NEGLIGIBLE:
+            conditions = tuple(depended_on(replace(model, effects=(form,))))
+            by_conditions.setdefault(conditions, []).append((float(probability), form))
+    others = [group for group in by_conditions.values() if all(form != finding.cause for _, form in group)]
+    return [(sum(probability for probability, _ in group), max(group, key=lambda form: form[0])[1]) for group in others]
 
 
 def _probability(verdict: Verdict, rival: Rival) -> float:
