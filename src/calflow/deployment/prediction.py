@@ -157,8 +157,8 @@ def as_stated(
     if missing == "refuse":
         check_stated(calibrated.needed, data.given, instead)
     lacking = [need for need in calibrated.needed if need.condition not in data.given]
-    asked = {need.condition for need in calibrated.needed} | set(calibrated.errors.inputs)
-    given = tuple(name for name in data.given if name in asked)
+    inputs = calibrated.inputs
+    given = tuple(name for name in data.given if name in inputs)
     notes = tuple(
         f"without {need.columns} nothing is predicted of {', '.join(need.effects)}: the standard deviations are wider by "
         f"{rounded(need.spread_mm)} mm, what that did to the rows that were fitted"

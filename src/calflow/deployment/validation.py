@@ -226,7 +226,7 @@ def validate(
     check_payload_stated(calibrated.model, calibrated.payloads, data.payload_stated)
     check_stated(calibrated.needed, data.given)
     # Wander and delay of the device are in its readings, not in the robot's pose: predicted where time and speeds are stated.
-    given = data.stating([*calibrated.errors.inputs, *AT_REST, *(need.condition for need in calibrated.needed)]).given
+    given = data.stating([*AT_REST, *calibrated.inputs]).given
     stated = calibrated.later(given, data)
     attained = Attained.of(stated, data, figures)
     _check_tolerance(tolerance, attained.unit)

@@ -17,7 +17,7 @@ from calflow.effects.cause import Carried, Cause
 from calflow.estimation.accuracy import completed, error_jacobian, errors, judged_unit
 from calflow.estimation.error_model import ErrorModel, of_parameters
 from calflow.estimation.least_squares import Loss
-from calflow.estimation.needed_conditions import NeededCondition
+from calflow.estimation.needed_conditions import NeededCondition, depended_on
 from calflow.estimation.noise import Noise, PerUnit, Source, stated_noise
 from calflow.estimation.residual_field import ResidualField
 from calflow.files.units import METRE, RADIAN, MeasurementUnit
@@ -108,6 +108,12 @@ class CalibratedModel:
         """Return the model for rows measured later that state these conditions, or those of a series (see `Effect.later`)."""
         alternatives = tuple(replace(other, model=other.model.later(series)) for other in self.alternatives)
         return replace(self, model=replace(self.model.later(series), given=given), alternatives=alternatives)
+
+    @property
+    def inputs(self) -> set[str]:
+        """The conditions of a row on which a prediction or its uncertainty depends: needed, of errors or of alternatives."""
+        of_alternatives = (depended_on(other.model.later()) for other in self.alternatives)
+        return {need.condition for need in self.needed}.union(self.errors.inputs, *of_alternatives)
 
     @property
     def noise_known(self) -> bool:
