@@ -17,7 +17,7 @@ from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.misfit import Misfit
 from calflow.diagnosis.noise_growth import RANGE, Growth
 from calflow.diagnosis.unexplained import POSE, UnexplainedStructure, is_any_error_along, predicted
-from calflow.diagnosis.verdict import SIZE, Amplitude, Rival, Verdict, found_amplitude, named
+from calflow.diagnosis.verdict import CERTAIN, SIZE, Amplitude, Rival, Verdict, found_amplitude, named
 from calflow.effects import catalogue
 from calflow.effects.base import IN_TIME, NONLINEAR, SMOOTH_IN
 from calflow.effects.cause import Cause
@@ -44,7 +44,6 @@ from calflow.model import Model
 from calflow.observations import leading_units
 
 NAN = float("nan")
-CERTAIN = 1.96  # standard deviations of a 95 % interval
 PLACE = {"x", "y", "z"}  # inputs that are the tool's place
 INPUTS_IN_WORDS = {
     "pose": "the pose (all its markers are off alike)",

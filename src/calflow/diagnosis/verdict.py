@@ -36,6 +36,7 @@ from calflow.model import Model
 
 # Exponent of the evidence for an unnamed error, whose form is itself a guess (tempered likelihood, Grünwald and van Ommen 2017).
 TEMPERED = 0.5
+CERTAIN = 1.96  # standard deviations of a 95 % interval
 INTERVAL = np.array([0.025, 0.975])  # quantiles at the ends of a 95 % interval
 DRAWS = 4000  # sizes drawn for an interval
 
@@ -331,8 +332,8 @@ class Amplitude:
 
     @property
     def differs_from_zero(self) -> bool:
-        """Whether its interval excludes zero."""
-        return self.low * self.high > 0
+        """Whether zero is further than CERTAIN standard deviations: the ends of a length's interval exclude it always."""
+        return abs(self.estimate) > CERTAIN * self.sd
 
 
 def amplitude(cause: Cause, values: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
