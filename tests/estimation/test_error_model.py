@@ -22,6 +22,7 @@ from calflow.estimation.model_tables import FUNCTIONS
 from calflow.estimation.needed_conditions import needed_conditions
 from calflow.estimation.noise import PerUnit
 from calflow.estimation.smooth_functions import InPlace, JointField, Shift, is_mean
+from calflow.files.problems import InputError
 from calflow.model import build
 from calflow.robot.parts import Expected
 from estimation.data import POSES, SIGMA, measured, stated, wavering
@@ -285,9 +286,11 @@ def test_beyond_a_measured_travel_a_curve_is_another_of_its_kind():
 
 
 def test_a_table_brings_it_back():
-    """Fails if what a run folder keeps of it promises another error."""
+    """Fails if what a run folder keeps of it promises another error, or one of another version ends in a traceback."""
     data = wavering(7)
     _, result, errors = fitted(data)
+    with pytest.raises(InputError, match=r"of another version of calflow \(.+\); run the study again"):
+        read_errors(error_table(errors, result.model), result.model, {})
     again = read_errors(error_table(errors, result.model), result.model, FUNCTIONS)
     assert again.functions == errors.functions
     assert again.rest == errors.rest

@@ -26,6 +26,7 @@ from calflow.estimation.probing import Probe
 from calflow.estimation.smooth_functions import Part, SmoothFunction, is_mean, means, smooth_functions
 from calflow.estimation.variance_components import NormalEquations, VarianceComponents
 from calflow.files.deferred import pd
+from calflow.files.problems import refuse
 from calflow.files.tables import column, typed
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
@@ -213,8 +214,16 @@ def error_table(errors: ErrorModel, model: Model) -> pd.DataFrame:
 
 
 def read_errors(table: pd.DataFrame, model: Model, kinds: Mapping[str, type[SmoothFunction]]) -> ErrorModel:
-    """Return the error model of an `error_table`, with functions of these kinds by name."""
+    """Return the error model of an `error_table`, with functions of these kinds by name.
+
+    Raises:
+        InputError: another version of calflow made the table, with functions of other kinds.
+    """
     offset, table = table.iloc[0], table.iloc[1:]
+    if unknown := set(table["kind"]) - set(kinds):
+        raise refuse(
+            f"has smooth errors of another version of calflow ({', '.join(sorted(unknown))}); run the study again"
+        )
     functions = [
         kinds[kind].of_figures(model.robot, figures)
         for kind, figures in table.drop_duplicates("function")[["kind", "figures"]].to_numpy(dtype=str)
