@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 
 from calflow.effects import catalogue
+from calflow.effects.cause import Cause
 from calflow.effects.gravity_deflection import GravityDeflection, Shape
 from calflow.effects.joint_compliance import JointCompliance
 from calflow.model import Model
 from calflow.robot.frames import modified_dh
+from calflow.robot.mechanism import rated_torques
 from calflow.robot.parts import Joint, Payload
 from calflow.robot.robot import Robot
 from robots import industrial, poses, rows
@@ -64,6 +67,18 @@ def test_a_payload_of_unknown_mass_has_a_figure_of_its_own():
     symbols = {parameter.symbol for parameter in GravityDeflection(unknown).declared}
     assert {"s", "s_load"} < symbols
     assert "s_light" not in symbols
+
+
+def test_a_size_counts_what_the_payload_turns():
+    """Breaks if a joint that sags under payloads alone has no size: the links' own moments say nothing of it."""
+    robot = weighed(bare(industrial()), **LOADS)
+    sag = Cause(robot, GravityDeflection(robot), "joint3")
+    symbols, rated = [parameter.symbol for parameter in sag.declared], rated_torques(robot)[2]
+    p = np.zeros(len(symbols))
+    p[symbols.index("s")] = 3e-4 / rated
+    assert float(ca.evalf(sag.size_of(ca.SX(p)))) == pytest.approx(3e-4)
+    p[symbols.index("phi3x")] = 4e-4
+    assert float(ca.evalf(sag.size_of(ca.SX(p)))) == pytest.approx(5e-4)
 
 
 def test_the_centre_of_an_unweighed_payload_is_located():

@@ -60,7 +60,7 @@ def test_a_bracket_that_turns_alone_has_a_size(effect):
     robot = industrial(markers=POINTS)
     bracket = effect(robot, {ToolSag: "cantilever", ToolDeflection: "bracket"}[effect])
     farthest = np.linalg.norm(POINTS["F"]["point_m"])
-    assert_allclose(float(ca.evalf(bracket.size(ca.SX([0.0, 2e-4])))), 2e-4 * farthest)
+    assert_allclose(float(ca.evalf(bracket.size(ca.SX([0.0, 2e-4]), bracket.declared))), 2e-4 * farthest)
 
 
 def test_an_adapter_may_tilt_as_far_on_a_small_arm():

@@ -341,7 +341,7 @@ def amplitude(cause: Cause, values: np.ndarray, covariance: np.ndarray) -> tuple
     if len(values) == 1:
         return float(values[0]), float(np.sqrt(covariance[0, 0]))
     p = ca.SX.sym("p", len(values))
-    size = cause.effect.size(p)
+    size = cause.size_of(p)
     figure, slope = (
         np.array(output).ravel() for output in ca.Function("size", [p], [size, ca.gradient(size, p)])(values)
     )
@@ -353,7 +353,7 @@ def sizes(cause: Cause, values: np.ndarray) -> np.ndarray:
     if values.shape[1] == 1:
         return values[:, 0]
     p = ca.SX.sym("p", values.shape[1])
-    return np.array(ca.Function("size", [p], [cause.effect.size(p)])(values.T)).ravel()
+    return np.array(ca.Function("size", [p], [cause.size_of(p)])(values.T)).ravel()
 
 
 def found_amplitude(finding: Detection, fitted: Fitted) -> Amplitude:

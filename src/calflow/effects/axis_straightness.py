@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -112,9 +112,9 @@ class AxisStraightness(Effect):
         share = (position - self.low[joint]) / (self.high[joint] - self.low[joint])
         return waves(share, 0.0, 1.0, self.length, RESOLVED * self.length)
 
-    def size(self, p: ca.SX) -> ca.SX:
+    def size(self, p: ca.SX, own: Sequence[Parameter]) -> ca.SX:
         """Return the root mean square of the translation error."""
-        return super().size(p) * RMS
+        return super().size(p, own) * RMS
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
         """Return the deflection with the carriages displaced."""

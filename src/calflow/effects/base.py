@@ -386,10 +386,9 @@ class Effect(ABC):
         """Return the abscissa for plots of its error at a joint (0 for none); by default the position in measuring order."""
         return Variable("place in measuring order", "", lambda state, row: row.order)
 
-    def size(self, p: ca.SX) -> ca.SX:
-        """Return the size of one part's parameters (n,): the norm of those that share the first one's unit."""
-        unit = self.declared[0].unit
-        same = [k for k, parameter in enumerate(self.declared[: p.numel()]) if parameter.unit == unit]
+    def size(self, p: ca.SX, own: Sequence[Parameter]) -> ca.SX:
+        """Return the size of one part's own parameters (n,): the norm of those that share the first one's unit."""
+        same = [k for k, parameter in enumerate(own) if parameter.unit == own[0].unit]
         return ca.sqrt(ca.sumsqr(p[same]) + NOTHING)
 
     @property

@@ -106,6 +106,10 @@ class Cause(ActingEffect):
         whole[self._indices] = p
         return self.effect, whole
 
+    def size_of(self, p: ca.SX) -> ca.SX:
+        """Return the size of the part's parameters, as findings state it."""
+        return self.effect.size(p, self.declared)
+
     def scatter(self, p: ca.SX, row: Row) -> ca.SX | float:
         """Return the effect's contribution to the standard deviation."""
         return self.effect.scatter(self.acting(p)[1], row)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -90,9 +91,9 @@ class StandGrowth(Warming):
             for symbol, unit, sd, meaning in self.changes for ending in self.symbols
         )  # fmt: skip
 
-    def size(self, p: ca.SX) -> ca.SX:
+    def size(self, p: ca.SX, own: Sequence[Parameter]) -> ca.SX:
         """Return the shift alone, without that at first."""
-        return super(Warming, self).size(p[:: len(self.symbols)][:3])
+        return super(Warming, self).size(p[:: len(self.symbols)][:3], own[:: len(self.symbols)][:3])
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
         """Return the point, displaced."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
 
@@ -106,9 +107,9 @@ class FrameDrift(Effect):
             for symbol, unit, sd in kinds for axis in "xyz"
         )  # fmt: skip
 
-    def size(self, p: ca.SX) -> ca.SX:
+    def size(self, p: ca.SX, own: Sequence[Parameter]) -> ca.SX:
         """Return the speed, or a curve's root mean square."""
-        return super().size(p) * (RMS if self.length else 1.0)
+        return super().size(p, own) * (RMS if self.length else 1.0)
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
         """Return the point, displaced by the drift."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Self
@@ -126,9 +127,9 @@ class GravityCompensator(Effect):
         torque[self._carried] = push
         return torque
 
-    def size(self, p: ca.SX) -> ca.SX:
+    def size(self, p: ca.SX, own: Sequence[Parameter]) -> ca.SX:
         """Return the amplitude of the torque at l = 1, the cylinder's length being its hinge's distance."""
-        return super().size(p[:2] + p[2:] if self.spring else p)
+        return super().size(p[:2] + p[2:] if self.spring else p, own[:2])
 
     def variable(self, joint: int) -> Variable:
         """Return the angle of joint 2."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, Self
@@ -9,7 +10,7 @@ from typing import Literal, Self
 import casadi as ca
 import numpy as np
 
-from calflow.effects.base import WINDUP_BOUND, WINDUP_SD, Effect, Words, joint_variable
+from calflow.effects.base import NOTHING, WINDUP_BOUND, WINDUP_SD, Effect, Words, joint_variable
 from calflow.effects.base_tilt import Arm
 from calflow.effects.cause import parts
 from calflow.measurements.measurements import Measurements
@@ -136,6 +137,13 @@ class GravityDeflection(Effect):
         for k in self._unknown.values():
             centres[:, k] += p[own[f"payload {names[k]}"].tolist()]
         return centres
+
+    def size(self, p: ca.SX, own: Sequence[Parameter]) -> ca.SX:
+        """Return the norm [rad] of the deflections by the links' moments and by a payload's rated torque."""
+        rated = rated_torques(self.robot)
+        turned = [p[k] * (rated[parameter.joint - 1] if parameter.symbol == "s" else 1.0)
+                  for k, parameter in enumerate(own) if parameter.unit in ("rad", "rad/Nm")]  # fmt: skip
+        return ca.sqrt(ca.sumsqr(ca.vertcat(*turned)) + NOTHING)
 
     def finer(self, data: Measurements) -> tuple[Self, ...]:
         """Return the form without the rule, which may prove better beside other causes."""

@@ -13,6 +13,7 @@ from calflow.effects.base import JOINT_ALONE, TRANSMISSION, JointError, Term, Wo
 from calflow.effects.smooth_curve import RMS, Travel, waves
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Row, State
+from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
 
 AMPLITUDE = 2e-4  # rad rms a priori
@@ -81,9 +82,9 @@ class JointErrorMap(JointError):
         basis = np.array(values(np.linspace(low, high, GRID)[None]))
         return Travel(low, high, self.length, basis @ basis.T / GRID)
 
-    def size(self, p: ca.SX) -> ca.SX:
+    def size(self, p: ca.SX, own: Sequence[Parameter]) -> ca.SX:
         """Return the curve's root mean square (a wave of amplitude 1 has 1/sqrt(2))."""
-        return super().size(p) * RMS
+        return super().size(p, own) * RMS
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
         """Return the sine basis functions, longest wavelength first."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -88,9 +89,9 @@ class LinkBending(Effect):
             for span in spans(self.robot) for symbol in SYMBOLS[self.section]
         )  # fmt: skip
 
-    def size(self, p: ca.SX) -> ca.SX:
+    def size(self, p: ca.SX, own: Sequence[Parameter]) -> ca.SX:
         """Return the flexibility in bending; torsion is not part of the size."""
-        return super().size(p) if self.section == "oblique" else p[0]
+        return super().size(p, own) if self.section == "oblique" else p[0]
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
         """Return the deflection with each link's far end displaced."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -44,7 +45,7 @@ class PrintScale(Effect):
             for axis in "xy"
         )
 
-    def size(self, p: ca.SX) -> ca.SX:
+    def size(self, p: ca.SX, own: Sequence[Parameter]) -> ca.SX:
         """Return the scale along y relative to that along x."""
         return p[1] - p[0]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Self
 
@@ -85,12 +85,12 @@ class SessionFrame(Effect):
         """The sessions with a frame of their own; the first one after a move stands for all later ones."""
         return self.sessions[self.since : self.since + 1] if self.since else self.sessions[1:]
 
-    def size(self, p: ca.SX) -> ca.SX:
+    def size(self, p: ca.SX, own: Sequence[Parameter]) -> ca.SX:
         """Return the largest shift of a session."""
         each = self._frames(p)
         largest = ca.SX(0)
         for frame in each:
-            largest = ca.fmax(largest, super().size(frame[:3]))
+            largest = ca.fmax(largest, super().size(frame[:3], own[:3]))
         return largest
 
     def _frames(self, p: ca.SX) -> Iterator[ca.SX]:

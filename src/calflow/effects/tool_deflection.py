@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -128,9 +128,9 @@ class ToolDeflection(Effect):
                 sd, bound = TILT_SD / largest, TILT_BOUND / largest
                 yield Parameter(self.id, part, symbol, "rad/Nm", sd, 0.0, bound, meaning=f"{words}, its tilt")
 
-    def size(self, p: ca.SX) -> ca.SX:
+    def size(self, p: ca.SX, own: Sequence[Parameter]) -> ca.SX:
         """Return the shift per weight: of a bracket, which may rotate alone, that of the farthest marker."""
-        return p[0] + reach(self.robot) * p[1] if self.shape == "bracket" else super().size(p)
+        return p[0] + reach(self.robot) * p[1] if self.shape == "bracket" else super().size(p, own)
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
         """Return the deflection with each flange displaced."""

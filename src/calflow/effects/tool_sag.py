@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
@@ -76,10 +76,10 @@ class ToolSag(Effect):
             symbol = f"c{'xyz'[i]}{'xyz'[j]}" if i != j else f"c{'xyz'[i]}"
             yield Parameter(self.id, part, symbol, "m", SAG_SD, -SAG_BOUND, SAG_BOUND, meaning=words)
 
-    def size(self, p: ca.SX) -> ca.SX:
+    def size(self, p: ca.SX, own: Sequence[Parameter]) -> ca.SX:
         """Return the shift: of a cantilever that rotates, and may do so alone, that of the farthest marker."""
         turns = self.shape == "cantilever" and p.numel() == 2
-        return p[0] + reach(self.robot) * p[1] if turns else super().size(p)
+        return p[0] + reach(self.robot) * p[1] if turns else super().size(p, own)
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
         """Return the deflection of each tool's link; a marker's own sag acts in that marker's rows alone."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
@@ -11,6 +12,7 @@ import numpy as np
 from calflow.effects.base import Effect, Variable, around
 from calflow.measurements.measurements import Measurements, pauses
 from calflow.robot.mechanism import Row
+from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
 
 NEVER = ((np.inf, np.inf),)  # in place of no pause, which has fewer parameters
@@ -90,9 +92,9 @@ class Warming(Effect):
         """Return the response to a step of heating, a time after it [s]."""
         return 1 - ca.exp(-ca.fmax(0, passed) / self.constant)
 
-    def size(self, p: ca.SX) -> ca.SX:
+    def size(self, p: ca.SX, own: Sequence[Parameter]) -> ca.SX:
         """Return the growth alone, without the heat at first."""
-        return super().size(p[:1])
+        return super().size(p[:1], own[:1])
 
     def variable(self, joint: int) -> Variable:
         """Return the temperature, or the time."""

@@ -137,7 +137,7 @@ class Curve:
         if travel is None:
             return None
         usual = np.array([parameter.prior_sd for parameter in cause.declared])
-        return cls(estimate, covariance, usual, float(ca.evalf(cause.effect.size(ca.SX(usual)))), travel)
+        return cls(estimate, covariance, usual, float(ca.evalf(cause.size_of(ca.SX(usual)))), travel)
 
     @cached_property
     def weight(self) -> np.ndarray:
