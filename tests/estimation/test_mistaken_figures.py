@@ -55,9 +55,14 @@ def calibrated(robot: cf.Robot, zeros: np.ndarray, parameters: cf.Parameters | N
 ASSEMBLED = np.deg2rad([0.0, -2.4, 2.6, -1.0, 1.8, 0.0])
 
 
-def test_zeros_that_no_maker_set_are_found_and_hide_behind_no_cause(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def assembled() -> cf.Calibration:
+    return calibrated(arm(), ASSEMBLED)
+
+
+def test_zeros_that_no_maker_set_are_found_and_hide_behind_no_cause(assembled: cf.Calibration, tmp_path: Path) -> None:
     """Fails if a zero is held at the end of what a maker's robot is off: the others bend, and a joint gets an error curve."""
-    found = calibrated(arm(), ASSEMBLED)
+    found = assembled
     for k in (2, 3, 4, 5):
         zero = found.parameters[f"joint{k}.theta"]
         assert not zero.at_bound
@@ -69,9 +74,9 @@ def test_zeros_that_no_maker_set_are_found_and_hide_behind_no_cause(tmp_path: Pa
     assert kept.parameters["joint4.theta"].prior == found.parameters["joint4.theta"].prior == (0.0, 0.02)
 
 
-def test_only_figures_of_a_kind_that_the_data_contradict_lose_their_prior() -> None:
+def test_only_figures_of_a_kind_that_the_data_contradict_lose_their_prior(assembled: cf.Calibration) -> None:
     """Fails if one mistaken zero frees lengths, which few poses may not determine, or a usual robot loses any prior."""
-    found = calibrated(arm(), ASSEMBLED).parameters
+    found = assembled.parameters
     assert found["joint3.a"].prior == (0.0, 0.002)
     assert found["joint5.theta"].prior == (0.0, 0.02)
     usual = calibrated(arm(), ASSEMBLED / 10).parameters
