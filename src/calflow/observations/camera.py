@@ -29,6 +29,7 @@ PixelPair = Annotated[tuple[float, float], Unit("image")]
 WORLD, TOOL = "world", "tool"  # what is no link that a robot names
 FOCAL_SD, CENTRE_SD = 0.2, 0.1  # of the focal length: of a lens that nobody knows
 DISTORTION_SD = {"k": 0.3, "p": 0.02}  # by the first letter of a coefficient
+PRINT_SCALE = "scale"  # symbol of the error of a printed target's size
 LENS_SETTINGS = ("focal", "centre", "distortion")
 STATED_LENS = 0.02  # of those: what a lens is usually off from what is stated, where nobody says by how much
 FURTHEST = 20.0  # standard deviations of what is stated at which it is a mistake
@@ -186,7 +187,7 @@ class Camera(Observation):
             sd = self.series.number("print_scale_sd") or 0.0
             yield (
                 *self._place(part, "target", target.place),
-                self._error(part, "scale", "1", sd, sd, 0.0, "scale of the print"),
+                self._error(part, PRINT_SCALE, "1", sd, sd, 0.0, "scale of the print"),
             )
 
     def _place(self, part: str, what: str, nominal: Six) -> list[Parameter | None]:

@@ -44,6 +44,7 @@ from calflow.files.words import (
     ratio,
     readable,
 )
+from calflow.observations.camera import PRINT_SCALE, Camera
 from calflow.sampling.posterior import ChainSummary
 from calflow.sampling.task_points import LIKELY, TaskSummary
 
@@ -432,6 +433,17 @@ def deviation(row: FittedParameter) -> str:
     return f"{mm(factor * row.estimate)} {unit}"
 
 
+def board_as_stated(outcome: RunOutcome) -> Iterator[Advice]:
+    """No image shows how large a board is: where nothing is said of that, all lengths are as wrong as it is."""
+    of_print = [row for row in outcome.identified_parameters if row.effect == Camera.id and row.symbol == PRINT_SCALE]
+    if outcome.in_space and not of_print:
+        sentence = (
+            "The board counts as exactly as large as its points say: if it is 1 % larger, so is the robot, and no image shows "
+            "that. Measure it, and state how well."
+        )
+        yield Advice(3, sentence, keys="print_scale_sd_um_per_m under [measurements.settings]")
+
+
 def meant(row: FittedParameter) -> str:
     """Return a parameter's meaning in words, or its name where it has none."""
     return row.meaning or row.parameter
@@ -542,7 +554,7 @@ RULES: Mapping[str, tuple[Rule, ...]] = {
     ),
     "diagnose/summary.json": (*CAUSE_RULES, look_for_reason, look_for_structure, advised_poses, other_means, untested),
     "identify/residuals.csv": (flagged_rows,),
-    "identify/parameters.csv": (at_bound, mistaken_figures),
+    "identify/parameters.csv": (at_bound, mistaken_figures, board_as_stated),
     "identify/placement.csv": (second_marker, unseen_compliance),
     ISOLABILITY_TABLE: (add_to_the_plan,),
     "sample/summary.json": (too_short, ensembles_disagree),
