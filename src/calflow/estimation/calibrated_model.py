@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Self
 
 import numpy as np
@@ -109,11 +110,11 @@ class CalibratedModel:
         alternatives = tuple(replace(other, model=other.model.later(series)) for other in self.alternatives)
         return replace(self, model=replace(self.model.later(series), given=given), alternatives=alternatives)
 
-    @property
-    def inputs(self) -> set[str]:
+    @cached_property
+    def inputs(self) -> frozenset[str]:
         """The conditions of a row on which a prediction or its uncertainty depends: needed, of errors or of alternatives."""
         of_alternatives = (depended_on(other.model.later()) for other in self.alternatives)
-        return {need.condition for need in self.needed}.union(self.errors.inputs, *of_alternatives)
+        return frozenset(need.condition for need in self.needed).union(self.errors.inputs, *of_alternatives)
 
     @property
     def noise_known(self) -> bool:
