@@ -450,6 +450,7 @@ def test_every_rule_is_tested() -> None:
         (ranked.few_poses, summary(new_poses_mm=0.26, lack_of_fit_p=0.0, reduced_chi2=9.0)),
         (ranked.at_bound, {"identify/parameters.csv": parameter_table(at_bound=True, prior_share=1.0)}),
         (ranked.mistaken_figures, {"identify/parameters.csv": parameter_table(estimate=0.019)}),
+        (ranked.mistaken_figures, {"identify/parameters.csv": parameter_table(estimate=0.022, sd=0.015)}),
         (ranked.board_as_stated,
          {"identify/in_space.csv": in_space(0.2, 0.3, 0.4),
           "identify/parameters.csv": parameter_table(parameter="target.scale", effect="camera", symbol="scale")}),

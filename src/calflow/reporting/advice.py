@@ -22,6 +22,7 @@ from calflow.design.discrimination import ENOUGH, MOST_NEXT_POSES, NextPose
 from calflow.design.isolability import isolability_gaps
 from calflow.diagnosis.cause_tables import CandidateRow
 from calflow.diagnosis.findings import RESTS
+from calflow.diagnosis.verdict import CERTAIN
 from calflow.effects.base import ASKED, NEEDS, Need, ShownBy
 from calflow.effects.geometry import LINK_BOUND, Geometry
 from calflow.effects.wording import UNEXPLAINED, cause_name, place_name, place_names
@@ -417,9 +418,11 @@ def at_bound(outcome: RunOutcome) -> Iterator[Advice]:
 
 
 def mistaken_figures(outcome: RunOutcome) -> Iterator[Advice]:
-    """A figure further off than a maker's is not one of this robot."""
+    """A figure certainly further off than a maker's is not one of this robot."""
     figures = [row for row in outcome.fitted_parameters if row.effect == Geometry.id and row.joint]
-    if far := [f"{meant(row)} by {deviation(row)}" for row in figures if abs(row.estimate) > LINK_BOUND]:
+    if far := [
+        f"{meant(row)} by {deviation(row)}" for row in figures if abs(row.estimate) > LINK_BOUND + CERTAIN * row.sd
+    ]:
         sentence = (
             f"The robot file is further off than a maker's: {listed(far, 4)}. Check its dimensions and units; if the arm was put "
             "together so, state the calibrated figures there (export --to dh writes them)."
