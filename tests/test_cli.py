@@ -157,7 +157,7 @@ def test_ctrl_c_ends_with_130_and_goes_on(small):
     command = [sys.executable, "-m", "calflow", "run", small.path, "--out", small / "runs"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
         for line in running.stdout:
-            if "independence proposal" in line:
+            if "normal approximation" in line:
                 break
         running.send_signal(signal.SIGINT)
         err = running.communicate(timeout=60)[1]

@@ -263,7 +263,7 @@ SPEAKS: list[tuple[Rule, Mapping[str, object], int, str]] = [
     (ranked.nothing_held_out, {"identify/accuracy.csv": accuracies(holdout=None)}, 2, "split.holdout = 0.3"),
     (ranked.nothing_held_out, {"identify/accuracy.csv": accuracies(holdout=None), **summary(new_poses_mm=0.1)}, 2,
      "Measure further poses and hold these out"),
-    (ranked.few_poses, summary(new_poses_mm=0.26), 2, "Measure about 8 more poses: 9 are too few."),
+    (ranked.few_poses, summary(new_poses_mm=0.26), 2, "9 poses are too few for what is fitted"),
     (ranked.does_not_carry_over, {"identify/accuracy.csv": accuracies(holdout=0.2)}, 2, "4.0 times"),
     (ranked.reaches_beyond, summary(extrapolation=(Extrapolation(joint=2, rows=6),)), 3, "(joint 2)"),
     (usability.no_better_in_space, {"identify/in_space.csv": in_space(0.8, 0.3, 0.4)}, 1,

@@ -187,12 +187,11 @@ def few_poses(outcome: RunOutcome) -> Iterator[Advice]:
     """Parameters determined by few poses add more to the error at new poses than the device's noise does."""
     summary, poses = outcome.fit_summary, outcome.summary.training_poses
     if summary.times_noise > 1 and not summary.lacks_fit:
-        more = math.ceil(poses * (2 * _share_taken(outcome) - 1))
         sentence = (
-            f"Measure about {more} more {'pose' if more == 1 else 'poses'}: {poses} are too few. At new poses like these "
-            f"expect an RMS error of {summary.at_new_poses}."
+            f"{plural(poses, 'pose')} are too few for what is fitted: at new poses like these expect an RMS error of "
+            f"{summary.at_new_poses}."
         )
-        yield Advice(2, sentence, poses=more)
+        yield Advice(2, sentence, poses=math.ceil(poses * (2 * _share_taken(outcome) - 1)))
 
 
 def _share_taken(outcome: RunOutcome) -> float:

@@ -58,7 +58,10 @@ def sample(
     starts = [log_posterior.start(walkers, rng(f"ensemble{i}")) for i in range(length.ensembles)]
     accepted = _acceptance(log_posterior, starts[0], rng("pilot"))
     independent = length.independent if accepted > LOW_ACCEPTANCE else 0.0
-    say(f"independence proposal accepted {accepted:.0%}" + ("" if independent else ": differential evolution alone"))
+    say(
+        f"{accepted:.0%} of draws from the normal approximation would be accepted: "
+        + ("used" if independent else "too few, not used")
+    )
 
     chain = Chain.open(path, length.ensembles, (walkers, n), independent, say)
     seeds = [int(rng(f"moves{i}").integers(2**31)) for i in range(length.ensembles)]
