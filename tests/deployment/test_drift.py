@@ -12,6 +12,7 @@ from calflow.deployment.drift import drift
 from calflow.deployment.movements import CheckProblem, movements
 from calflow.deployment.validation import validate
 from calflow.design.candidates import candidates
+from calflow.estimation.extrapolation import Later
 from calflow.measurements.measurements import Measurements
 from calflow.model import build
 from estimation.data import POSES, calibrated, calibration, wavering
@@ -249,6 +250,18 @@ def test_a_station_that_moved_between_sessions_is_fitted_there_alone(robot):
     assert (judged.station, judged.frames, judged.freedom_lost, judged.beyond) == ("fitted", 1, 6, 0)
     assert judged.moved_mm == pytest.approx(300 * 3**0.5, abs=1)
     assert any("than in the calibration in session 'tue': its frame was fitted" in one for one in judged.notes)
+
+
+def test_a_frame_that_wanders_as_it_did_is_no_drift(robot):
+    """Fails if a check hours later takes what the device is known to wander by in that time for something that moved."""
+    known, q = robot
+    hours, sd = np.full(len(q), 4 * 3600.0), np.full(3, 1e-4)
+    wandering = [Later(known.model.robot, "shift", begin=0.0, end=3600.0)]
+    later = replace(known, errors=known.errors.with_functions(wandering, sd))
+    data = checked(known, q, 7, time=hours, time_origin=0.0)
+    elsewhere = replace(data, table=data.table.assign(x=data.table["x"] + 2e-4))
+    assert drift(known, elsewhere, station="known").summary.status == "moved"
+    assert drift(later, elsewhere, station="known").summary.status == "in place"
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -308,7 +308,8 @@ def drift(
     """Test whether anything has moved since a robot was calibrated.
 
     Args:
-        calibrated: the calibrated model; needed conditions that the rows lack widen the errors by their usual effect.
+        calibrated: the calibrated model; needed conditions that the rows lack widen the errors by their usual effect, and what
+            device and robot usually wander by until the rows were measured is no movement.
         data: check poses, some five to ten, in one session or several.
         false_alarm: probability that a movement is reported where nothing moved.
         station: as in `validate`; where it is fitted, movements of the robot's base cannot be detected.
@@ -325,7 +326,7 @@ def drift(
             key="data",
         )
     check_payload_stated(calibrated.model, calibrated.payloads, data.payload_stated)
-    given = data.stating([*AT_REST, *(need.condition for need in calibrated.needed)]).given
+    given = data.stating([*AT_REST, *calibrated.inputs]).given
     calibrated = calibrated.later(given, data)
     attained = Attained.of(calibrated, data)
     stood, _ = stands(attained, station)
