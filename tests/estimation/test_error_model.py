@@ -212,7 +212,8 @@ def test_a_wander_that_is_named_goes_on_as_one_that_is_not(form):
         replace(data, table=data.table.assign(time=data.table["time"].max() + after)).conditions
         for after in (0.0, 60.0)
     )
-    slopes = before.at(model, named.estimate, then).slopes(model.point_jacobian(named.estimate, then))
+    moved = before.moved(model, named.estimate, then)
+    slopes = model.point_jacobian(named.estimate, then) - moved @ before.slope
     assert form is warming or slopes == pytest.approx(model.position_jacobian(named.estimate, end), abs=1e-9)
 
 
@@ -253,8 +254,7 @@ def test_rows_in_order_wander_anew_in_another_measurement():
     within = np.abs(others - others.mean(axis=1, keepdims=True)) < 1.96 * np.sqrt(there)
     assert within.mean() > 0.93
     assert there.mean() < 2 * here.mean()
-    at = anew.at(result.model, result.estimate, data.conditions)
-    moved = at.shared(result.model.point_jacobian(result.estimate, data.conditions), nothing)
+    moved = anew.shared(result.model, result.estimate, nothing, data.conditions)
     apart = np.linalg.norm(moved[0] - moved[-1], axis=1)
     assert (apart > 0.5 * np.linalg.norm(moved[0], axis=1)).all()
 
@@ -272,10 +272,10 @@ def test_beyond_a_measured_travel_a_curve_is_another_of_its_kind():
     errors = continued(ErrorModel.white(SIGMA, len(estimate)), result, data)
     inside = data.joints[:, 0] < high[0]
     beyond = data.joints[:, 0] > high[0] + 0.06 * (high[0] - low[0])
-    at = errors.at(model, estimate, data.conditions)
-    assert np.abs(at.moved[inside]).max() < 1e-3 * SIGMA
+    moved = errors.moved(model, estimate, data.conditions)
+    assert np.abs(moved[inside]).max() < 1e-3 * SIGMA
     lever = np.linalg.norm(data.position[:, :2], axis=1)
-    curve = at.moved / lever[:, None, None]
+    curve = moved / lever[:, None, None]
     size = np.sqrt((curve**2).sum(axis=(1, 2)))
     assert size[beyond] == pytest.approx(np.full(beyond.sum(), size[beyond].mean()), rel=0.05)
     assert 3e-4 < size[beyond].mean() < 1.2 * 3e-4  # two waves of rms 1/sqrt(2) each; of few waves, so perhaps more

@@ -17,7 +17,7 @@ import scipy
 
 from calflow.deployment.attained import rigid_slope
 from calflow.design.candidates import candidates
-from calflow.estimation.calibrated_model import CalibratedModel, choice_errors, position_variance, shared_errors
+from calflow.estimation.calibrated_model import CalibratedModel, choice_errors
 from calflow.estimation.prior_scale import by_scale, strays
 from calflow.files.tables import column
 from calflow.measurements.measurements import Measurements
@@ -125,19 +125,14 @@ def promised_in_space(calibrated: CalibratedModel, rng: np.random.Generator, nam
     )
     between = model.point(model.nominal, conditions) - model.point(calibrated.estimate, conditions)
     away = _untaught(between[:, :, None], taught_nominal)
-    alone = np.maximum(
-        position_variance(calibrated, conditions) - (shared_errors(calibrated, conditions) ** 2).sum(axis=2), 0.0
-    )
-    variance, better = alone.sum(axis=1), 0
-    jacobian = model.point_jacobian(calibrated.estimate, conditions)
-    errors = calibrated.errors.at(model, calibrated.estimate, conditions)
-    offset = calibrated.errors.offset
-    choice = choice_errors(calibrated, conditions)
-    mean = calibrated.estimate + offset, calibrated.covariance - np.outer(offset, offset)
+    errors, better = calibrated.errors, 0
+    variance = np.full(conditions.shape[1], 3 * errors.rest**2)
+    slopes, choice = errors.slopes(model, calibrated.estimate, conditions), choice_errors(calibrated, conditions)
+    mean = calibrated.estimate + errors.offset, errors.about_mean(calibrated.covariance)
     scales = by_scale(*mean, (model.prior_mean, model.prior_sd), strays(model))
     for scale, n in zip(scales, rng.multinomial(ROBOT_DRAWS, [scale.probability for scale in scales]), strict=True):
-        expected = errors.expected(jacobian, scale.mean - calibrated.estimate)
-        apart = np.concatenate([expected[:, :, None], errors.scattered(jacobian, scale.covariance), choice], axis=2)
+        root = errors.root(scale.covariance, scale.mean - calibrated.estimate)
+        apart = np.concatenate([slopes @ root, choice], axis=2)
         left = _untaught(apart, taught)
         variance += scale.probability * (left**2).sum(axis=(1, 2))
         drawn = np.concatenate([np.ones((1, n)), rng.standard_normal((apart.shape[2] - 1, n))])

@@ -36,7 +36,6 @@ from calflow.diagnosis.verdict import named
 from calflow.effects.wording import UNEXPLAINED
 from calflow.estimation.accuracy import distances, errors
 from calflow.estimation.calibrated_model import Alternative, CalibratedModel, offsets
-from calflow.estimation.error_model import ErrorsAtRows
 from calflow.estimation.probing import probed
 from calflow.estimation.progress import Draws
 from calflow.faults import as_table
@@ -82,14 +81,11 @@ def uncertainties(
     _, slopes = probed(planned.problem(model, estimate, choices.conditions), estimate, asked)
     slopes = slopes.reshape(len(choices), -1, slopes.shape[1])
     n, smooth = len(estimate), len(estimate) + len(errors.sd)
-    covariance = fitted.covariance - np.outer(errors.offset, errors.offset)
-    seen, tool = (
-        here.scattered(jacobian, covariance)
-        for here, jacobian in (
-            (ErrorsAtRows(errors, slopes[:, :, n:smooth] * errors.sd), slopes[:, :, :n]),
-            (errors.at(model, estimate, at_task.conditions), at_task.slopes),
-        )
-    )
+    # Their mean is no uncertainty: no further pose reduces it.
+    root = errors.root(errors.about_mean(fitted.covariance))[:, 1:]
+    moved = errors.moved(model, estimate, at_task.conditions)
+    tool = np.concatenate([at_task.slopes, moved], axis=2) @ root
+    seen = slopes[:, :, :smooth] * np.append(np.ones(n), errors.sd) @ root
     turn = _most_moving(tool[:, :, n:])
     uncertainties = [
         Uncertainty(PARAMETERS, seen[:, :, :n], tool[:, :, :n]),

@@ -219,13 +219,13 @@ def _drawn(
     """Draw errors by parameters and errors with parameters known, (number, n_points, 3) [m], with smooth ones of a variance."""
     covariance, every = at_task.fitted.with_smooth_errors(variance)
     errors = of_robot(every)
-    here = errors.at(at_task.fitted.model, at_task.fitted.fit.estimate, at_task.conditions)
-    factors = here.scattered(at_task.slopes, covariance - np.outer(errors.offset, errors.offset))
+    moved = errors.moved(at_task.fitted.model, at_task.fitted.fit.estimate, at_task.conditions)
+    slopes, root = np.concatenate([at_task.slopes, moved], axis=2), errors.root(errors.about_mean(covariance))
+    expected, factors = np.split(slopes @ root, [1], axis=2)
     n = at_task.slopes.shape[2]
     drawn = rng.standard_normal((number, factors.shape[2]))
     error = np.einsum("nap,kp->kna", factors[:, :, :n], drawn[:, :n], optimize=True)
-    smooth = np.einsum("nas,ks->kna", factors[:, :, n:], drawn[:, n:], optimize=True)
-    smooth += here.expected(at_task.slopes, errors.offset)
+    smooth = expected[:, :, 0] + np.einsum("nas,ks->kna", factors[:, :, n:], drawn[:, n:], optimize=True)
     return error, smooth + errors.rest * rng.standard_normal(smooth.shape)
 
 

@@ -212,10 +212,7 @@ def shared_errors(calibrated: CalibratedModel, conditions: np.ndarray) -> np.nda
     They hold the errors of the parameters, the smooth errors and the choice of the model, without a residual field; the squares
     add up to `position_variance` less the part that is independent from row to row.
     """
-    jacobian = calibrated.model.point_jacobian(calibrated.estimate, conditions)
-    errors = calibrated.errors.at(calibrated.model, calibrated.estimate, conditions).shared(
-        jacobian, calibrated.covariance
-    )
+    errors = calibrated.errors.shared(calibrated.model, calibrated.estimate, calibrated.covariance, conditions)
     return np.concatenate([errors, choice_errors(calibrated, conditions)], axis=2)
 
 
@@ -225,8 +222,7 @@ def parameter_variance(calibrated: CalibratedModel, conditions: np.ndarray) -> n
     It includes the parameters' offset beside smooth errors (see `ErrorModel`) unless there is a residual field, which corrects it.
     """
     parts = np.array_split(conditions, range(PART_ROWS, conditions.shape[1], PART_ROWS), axis=1)
-    offset = calibrated.errors.offset if calibrated.field else np.zeros(len(calibrated.estimate))
-    covariance = calibrated.covariance - np.outer(offset, offset)
+    covariance = calibrated.errors.about_mean(calibrated.covariance) if calibrated.field else calibrated.covariance
     slopes = (calibrated.model.point_jacobian(calibrated.estimate, part) for part in parts)
     return np.concatenate([np.maximum(of_parameters(slope, covariance), 0.0) for slope in slopes])
 

@@ -92,8 +92,7 @@ class ErrorModel:
     @cached_property
     def spread(self) -> np.ndarray:
         """A root (n_functions, n_functions) of the amplitudes' covariance given the parameters."""
-        value, axes = np.linalg.eigh(np.eye(len(self.sd)) - self.told @ self.told.T)
-        return np.asarray(axes * np.sqrt(np.maximum(value, 0.0)))
+        return root_of(np.eye(len(self.sd)) - self.told @ self.told.T)
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -108,64 +107,53 @@ class ErrorModel:
         It is the mean square error of the model without these functions, so that their posterior mean counts in full.
         """
         parts = np.array_split(conditions, range(ROWS, conditions.shape[1], ROWS), axis=1)  # not too many rows at once
-        errors = ((self.at(model, estimate, part), model.point_jacobian(estimate, part)) for part in parts)
-        return np.concatenate([at.variance(jacobian, covariance) for at, jacobian in errors])
+        shared = (self.shared(model, estimate, covariance, part) for part in parts)
+        return self.rest**2 + np.concatenate([(errors**2).sum(axis=2) for errors in shared])
 
-    def at(self, model: Model, estimate: np.ndarray, conditions: np.ndarray) -> ErrorsAtRows:
-        """Return the error model evaluated at rows."""
-        if not self.functions:
-            return ErrorsAtRows(self, np.zeros((conditions.shape[1], 3, 0)))
-        beside, n = _with(model, self.functions), len(estimate)
-        at = np.append(estimate, beside.nominal[n:])
-        return ErrorsAtRows(self, beside.position_jacobian(at, conditions)[:, :, n:] * self.sd)
-
-
-@dataclass(frozen=True, eq=False)
-class ErrorsAtRows:
-    """Position errors at some rows; moved (n_rows, 3, n_functions) [m] is their change by each amplitude at one sd."""
-
-    of: ErrorModel
-    moved: np.ndarray
-
-    def slopes(self, jacobian: np.ndarray) -> np.ndarray:
-        """Return the total derivatives of positions by the parameters (n_rows, 3, n_parameters), through the amplitudes too."""
-        return np.asarray(jacobian - self.moved @ self.of.slope)
-
-    def variance(self, jacobian: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-        """Return the mean square of the errors (n_rows, 3) [m²], including the parameters'.
-
-        Args:
-            jacobian: of the positions by the parameters, (n_rows, 3, n_parameters).
-            covariance: of the parameters, including their offset.
-        """
-        offset = self.of.offset
-        alone = np.maximum(of_parameters(self.slopes(jacobian), covariance - np.outer(offset, offset)), 0.0)
-        smooth = np.maximum((self.moved**2).sum(axis=2) - ((self.moved @ self.of.told) ** 2).sum(axis=2), 0.0)
-        return np.asarray(self.of.rest**2 + smooth + alone + self.expected(jacobian, offset) ** 2)
-
-    def shared(self, jacobian: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-        """Return the errors as factors (n_rows, 3, n) [m] of independent standard normals, for the same arguments.
+    def shared(self, model: Model, estimate: np.ndarray, covariance: np.ndarray, conditions: np.ndarray) -> np.ndarray:
+        """Return the errors of rows' positions as factors (n_rows, 3, n) [m] of independent standard normals.
 
         Their squares add up to the variance less the part that is independent from row to row.
         """
-        offset = self.of.offset
-        off = self.expected(jacobian, offset)
+        return self.slopes(model, estimate, conditions) @ self.root(self.about_mean(covariance))
+
+    def slopes(self, model: Model, estimate: np.ndarray, conditions: np.ndarray) -> np.ndarray:
+        """Return the derivatives of rows' positions by parameters and by amplitudes over sd, (n_rows, 3, n) [m]."""
         return np.concatenate(
-            [self.scattered(jacobian, covariance - np.outer(offset, offset)), off[:, :, None]], axis=2
+            [model.point_jacobian(estimate, conditions), self.moved(model, estimate, conditions)], axis=2
         )
 
-    def expected(self, jacobian: np.ndarray, change: np.ndarray) -> np.ndarray:
-        """Return the mean error of positions (n_rows, 3) [m] with parameters at a change (n,) from the estimate."""
-        return np.asarray(self.slopes(jacobian) @ change + self.moved @ (self.of.slope @ self.of.offset + self.of.mean))
+    def moved(self, model: Model, estimate: np.ndarray, conditions: np.ndarray) -> np.ndarray:
+        """Return the change of rows' reported positions by each amplitude at one sd, (n_rows, 3, n_functions) [m]."""
+        if not self.functions:
+            return np.zeros((conditions.shape[1], 3, 0))
+        beside, n = _with(model, self.functions), len(estimate)
+        return beside.position_jacobian(np.append(estimate, beside.nominal[n:]), conditions)[:, :, n:] * self.sd
 
-    def scattered(self, jacobian: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-        """Return the errors about their mean as factors (n_rows, 3, n) [m] of independent standard normals.
+    def about_mean(self, covariance: np.ndarray) -> np.ndarray:
+        """Return the covariance of the parameters about the generalised estimate, given that which includes their offset."""
+        return np.asarray(covariance - np.outer(self.offset, self.offset))
 
-        covariance is the parameters' without their offset.
+    def root(self, covariance: np.ndarray, change: np.ndarray | None = None) -> np.ndarray:
+        """Return the joint errors of parameters and amplitudes over sd as factors (n, 1 + n) of independent standard normals.
+
+        The first column is their mean; then follow the parameters' factors and those of the amplitudes alone.
+
+        Args:
+            covariance: of the parameters about their mean.
+            change: their mean less the estimate, (n_parameters,); by default the offset.
         """
-        value, axes = np.linalg.eigh(covariance)
-        root = axes * np.sqrt(np.maximum(value, 0.0))
-        return np.concatenate([self.slopes(jacobian) @ root, self.moved @ self.of.spread], axis=2)
+        change = self.offset if change is None else change
+        own = root_of(covariance)
+        mean = np.append(change, self.mean + self.slope @ (self.offset - change))
+        alone = np.vstack([np.zeros((len(own), len(self.sd))), self.spread])
+        return np.column_stack([mean, np.vstack([own, -self.slope @ own]), alone])
+
+
+def root_of(covariance: np.ndarray) -> np.ndarray:
+    """Return a root R (n, n) of a covariance R Rᵀ that is positive semidefinite but for rounding."""
+    value, axes = np.linalg.eigh(covariance)
+    return np.asarray(axes * np.sqrt(np.maximum(value, 0.0)))
 
 
 def of_parameters(jacobian: np.ndarray, covariance: np.ndarray) -> np.ndarray:
