@@ -140,9 +140,10 @@ def integrated(problem: LeastSquares, known: CalibratedModel, causes: Sequence[C
     found, _ = fit(own, np.array([[there.get(p.identity, p.nominal) for p in model.parameters]]))
     free, sd = ~found.at_bound, model.prior_sd[~found.at_bound]
     parts = [
-        (e.ravel(), j.reshape(e.size, -1)) for block in own.blocks for _, e, j in block.independent(found.estimate)
+        [part.decorrelated(of).reshape(part.n_units * len(part.rows), -1) for of in part.linearised(found.estimate)]
+        for part in own.parts()
     ]
-    residual, jacobian = np.concatenate([e for e, _ in parts]), np.vstack([j for _, j in parts])[:, free] * sd
+    residual, jacobian = np.concatenate([e[:, 0] for e, _ in parts]), np.vstack([j for _, j in parts])[:, free] * sd
     residual = residual - jacobian @ ((found.estimate - model.prior_mean)[free] / sd)  # at the priors' means
     information, score = jacobian.T @ jacobian, jacobian.T @ residual
     level, columns = (

@@ -113,7 +113,7 @@ def residuals(study: Path) -> None:
     train = data.only(data.train)
     model = build(asked.robot, asked.file.effects, data.given)
     problem = LeastSquares.of(model, train, measured_noise(train, "auto", model))
-    list(problem.linearised(model.nominal))
+    [part.linearised(model.nominal) for part in problem.parts()]
 
 
 def main() -> None:

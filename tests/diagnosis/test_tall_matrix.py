@@ -14,7 +14,6 @@ from calflow.diagnosis import regressors as module
 from calflow.diagnosis.regressors import Background, Regressors
 from calflow.diagnosis.screening import Catalogue, Screening
 from calflow.estimation.fit import fit
-from calflow.estimation.least_squares import Sharing
 from calflow.model import build
 from estimation.data import measured, problem
 from robots import industrial
@@ -33,7 +32,7 @@ def linearised():
     found = fit(asked)[0]
     poses = rng.permutation(np.repeat(np.arange(POSES), MARKERS))
     blocks = (
-        replace(block, sharing=Sharing(poses, 0.4)).at(np.argsort(poses, kind="stable")) for block in asked.blocks
+        replace(block, standstill=poses, intraclass=0.4).at(np.argsort(poses, kind="stable")) for block in asked.blocks
     )
     together = replace(asked, blocks=tuple(blocks))
     modes = np.linalg.qr(rng.standard_normal((asked.size, 4)))[0]

@@ -47,7 +47,7 @@ def test_the_fit_weighs_data_and_expectation_as_two_measurements():
     model = build(robot, EFFECTS)
     data = measured(model, means, 30, np.random.default_rng(2))
     result, _ = fit(problem(model, data))
-    (_, residual, jacobian), *rest = list(result.problem.linearised(result.estimate))
+    (residual, jacobian), *rest = [part.linearised(result.estimate) for part in result.problem.parts()]
     assert not rest
     jacobian, free = jacobian.reshape(-1, len(means)), ~result.at_bound
     gradient = jacobian.T @ residual.ravel() + (result.estimate - means) / model.prior_sd**2

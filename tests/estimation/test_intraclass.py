@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calflow.estimation.fit import IntraclassLikelihood, fit
-from calflow.estimation.least_squares import LeastSquares, Sharing
+from calflow.estimation.least_squares import LeastSquares, SeriesBlock
 from calflow.estimation.noise import measured_noise
 from calflow.sampling.log_posterior import LogPosterior, log_posterior_of
 from sampling.calibrations import SIGMA, Case, Design
@@ -32,7 +32,8 @@ def test_independent_errors_have_the_covariance_of_compound_symmetry():
     """Fails if whitening is not a root of the inverse of the covariance that is claimed."""
     rng = np.random.default_rng(1)
     group = np.array([0, 0, 1, 1, 1, 2])
-    sharing = Sharing(group, 0.7)
+    nothing = np.zeros((1, 6))
+    sharing = SeriesBlock(None, None, np.arange(6), *[nothing] * 5, group, 0.7)
     covariance = np.where(group[:, None] == group, 0.7, 0.0) + 0.3 * np.eye(6)
     root = sharing.decorrelated(np.eye(6))
     np.testing.assert_allclose(root.T @ root, np.linalg.inv(covariance), atol=1e-12)
@@ -75,7 +76,7 @@ def test_one_marker_is_fitted_as_if_nothing_could_be_shared():
     noise = known.noise(train)
     plain = LeastSquares.of(known.model, train, noise)
     other = LeastSquares.of(known.model, train, type(noise)(**{**vars(noise), "intraclass": 0.5}))
-    assert not any(block.sharing.correlation for block in other.blocks)
+    assert not any(block.intraclass for block in other.blocks)
     for one, same in zip(plain.reduced(known.estimate), other.reduced(known.estimate), strict=True):
         assert (one == same).all()
 

@@ -14,7 +14,7 @@ from calflow.effects.cause import Cause, parts
 from calflow.estimation.error_model import normal_equations, usual_sizes
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import Noise
-from calflow.estimation.probing import Probe, probed
+from calflow.estimation.probing import probed
 from calflow.estimation.registration import registered
 from calflow.estimation.smooth_functions import smooth_functions
 from calflow.files.units import PIXEL
@@ -110,13 +110,13 @@ def test_an_images_points_have_their_slopes_in_common(tmp_path, correlation):
     noise = Noise(np.full(len(data), 0.2), ("file",), units=(PIXEL,), intraclass=correlation)
     problem = LeastSquares.of(model, data, noise)
     functions = [one for _, some in smooth_functions(problem, model.nominal, data) for one in some]
-    probe = Probe.of(problem, model.nominal, functions)
     assert len(data) > 8
-    left, slopes = probe.whole()
+    alone = replace(problem.blocks[0], intraclass=0.0)
+    left, slopes = probed(replace(problem, blocks=(alone,)), model.nominal, functions)
     slopes[:, len(model.nominal) :] *= usual_sizes(model, functions)
     rows = np.column_stack([slopes, left]).reshape(len(data), 2, -1)
-    assert problem.blocks[0].sharing.correlation == correlation
-    rows = problem.blocks[0].sharing.decorrelated(rows)
+    assert problem.blocks[0].intraclass == correlation
+    rows = problem.blocks[0].decorrelated(rows)
     rows = rows.reshape(2 * len(data), -1)
     found = normal_equations(problem, model.nominal, functions)
     size = np.linalg.norm(rows, axis=0).clip(1e-9)

@@ -17,7 +17,7 @@ from pydantic import PlainValidator
 from calflow.design.candidates import candidates, packed_conditions
 from calflow.design.cell import Cell, refused_words
 from calflow.design.optimality import ToolError
-from calflow.estimation.least_squares import LeastSquares, SeriesBlock, Sharing
+from calflow.estimation.least_squares import LeastSquares, SeriesBlock
 from calflow.estimation.noise import Noise, PerUnit
 from calflow.estimation.progress import Say, nobody
 from calflow.faults.implausible import plausible
@@ -74,8 +74,8 @@ class Planned:
         """
         reported = self.observation.expected(model.point(p, conditions), model.rotation(p, conditions))
         sigma = np.tile(self.sd[:, None], conditions.shape[1])
-        every, apart = np.arange(conditions.shape[1]), Sharing.nothing(conditions.shape[1])
-        block = SeriesBlock(model, self.observation, every, conditions, reported, 1 / sigma, sigma, sigma, apart)
+        every = np.arange(conditions.shape[1])
+        block = SeriesBlock(model, self.observation, every, conditions, reported, 1 / sigma, sigma, sigma, every)
         return LeastSquares(model, (block,))
 
     @property

@@ -138,10 +138,11 @@ class Fitted:
     def studentised(self) -> np.ndarray:
         """Studentised residuals of each row, (n_rows, n_units), nan where a row has fewer units."""
         every = np.full((len(self.data), max(len(observed.units) for observed in self.model.observations)), np.nan)
-        for rows, residual, jacobian in self.problem.linearised(self.fit.estimate):
+        for part in self.problem.parts():
+            residual, jacobian = part.linearised(self.fit.estimate)
             leverage = np.einsum("rai,ij,raj->ra", jacobian, self.fit.covariance, jacobian, optimize=True)
             freed = residual / np.sqrt(np.maximum(1 - leverage, 1 - MOST_LEVERAGE))
-            every[rows[:, None], np.arange(residual.shape[1])] = freed
+            every[part.rows[:, None], np.arange(residual.shape[1])] = freed
         return every
 
     @property

@@ -323,7 +323,6 @@ class Regressors(Generic[H]):
         probe = Probe.of(problem, fit.estimate, effects)
         tall = probe if math.prod(probe.shape) > HELD else None
         left, slopes = (Probe.of(problem, fit.estimate, ()) if tall else probe).whole()
-        left, slopes = problem.decorrelated(left), problem.decorrelated(slopes)
         if correlation is not None:
             correlation.whiten(left)
             correlation.whiten(slopes)

@@ -178,16 +178,15 @@ def expansion(problem: LeastSquares, x: np.ndarray, loss: Loss) -> Expansion:
     offset = x - model.prior_mean / model.prior_sd
     value, gradient, hessian = 0.5 * offset @ offset, offset.copy(), np.eye(n)
     errors = list[np.ndarray]()
-    for block in problem.blocks:
-        for error, residual, jacobian in block.independent(x * model.prior_sd):
-            squared = (residual**2).sum(axis=1)
-            slope = rho_slope(squared, loss)[:, None, None]
-            scaled = (jacobian * model.prior_sd).reshape(-1, n)
-            weighted = scaled if loss == "linear" else (slope * jacobian * model.prior_sd).reshape(-1, n)
-            value += 0.5 * float(rho(squared, loss).sum())
-            gradient += weighted.T @ residual.ravel()
-            hessian += weighted.T @ scaled
-            errors.append(error.ravel())
+    for part in problem.parts():
+        error, jacobian = part.linearised(x * model.prior_sd)
+        residual, jacobian = part.decorrelated(error), part.decorrelated(jacobian) * model.prior_sd
+        squared = (residual**2).sum(axis=1)
+        weighted = jacobian if loss == "linear" else rho_slope(squared, loss)[:, None, None] * jacobian
+        value += 0.5 * float(rho(squared, loss).sum())
+        gradient += weighted.reshape(-1, n).T @ residual.ravel()
+        hessian += weighted.reshape(-1, n).T @ jacobian.reshape(-1, n)
+        errors.append(error.ravel())
     return Expansion(value, gradient, hessian, np.concatenate(errors))
 
 
@@ -406,25 +405,24 @@ class IntraclassLikelihood:
     def of(result: Fit, data: Measurements, noise: Noise) -> IntraclassLikelihood | None:
         """Sum the products at a fit's estimate; None where no rows share errors, or the loss is robust and weighs rows singly."""
         problem = LeastSquares.of(result.model, data, noise)
-        alike = [block for block in problem.blocks if block.sharing.size.max() > 1]
-        images = sum(len(block.sharing.begins) * block.n_units for block in alike if block.observation.series.within)
+        alike = [block for block in problem.blocks if block.size.max() > 1]
+        images = sum(len(block.begins) * block.n_units for block in alike if block.observation.series.within)
         if result.loss != "linear" or not alike or 0 < images < result.effective_parameters + MIN_COMMON_FREEDOM:
             return None
         free, sd = np.flatnonzero(~result.at_bound), result.model.prior_sd
         # The priors' residuals are left out: they would let the parameters' sizes tell of the noise.
         prior = np.diag(np.append(np.ones(len(free)), 0.0))
-        markers = np.unique(np.concatenate([block.sharing.size for block in problem.blocks]))
+        markers = np.unique(np.concatenate([block.size for block in problem.blocks]))
         each, summed, number = np.zeros(prior.shape), np.zeros((len(markers), *prior.shape)), np.zeros(len(markers))
-        for block in problem.blocks:
-            for part, residual, jacobian in block.linearised(result.estimate):
-                both = np.concatenate([(jacobian * sd)[..., free], residual[:, :, None]], axis=2)
-                each += np.tensordot(both, both, ((0, 1), (0, 1)))
-                sharing = block.sharing.only(part)
-                together = np.add.reduceat(both, sharing.begins)
-                for k, size in enumerate(markers):
-                    of_size = together[sharing.size == size]
-                    summed[k] += np.tensordot(of_size, of_size, ((0, 1), (0, 1)))
-                    number[k] += of_size.shape[0] * of_size.shape[1]
+        for part in problem.parts():
+            residual, jacobian = part.linearised(result.estimate)
+            both = np.concatenate([(jacobian * sd)[..., free], residual[:, :, None]], axis=2)
+            each += np.tensordot(both, both, ((0, 1), (0, 1)))
+            together, sizes = np.add.reduceat(both, part.begins), part.size
+            for k, size in enumerate(markers):
+                of_size = together[sizes == size]
+                summed[k] += np.tensordot(of_size, of_size, ((0, 1), (0, 1)))
+                number[k] += of_size.shape[0] * of_size.shape[1]
         freedom = max(1.0, result.residual.size - result.effective_parameters)
         return IntraclassLikelihood(each, summed, prior, markers, number, freedom)
 

@@ -28,55 +28,6 @@ EXPECTED_PASSES = 20  # evaluations of all rows in a typical fit
 FINEST = 0.1
 
 
-@dataclass(frozen=True, eq=False)
-class Sharing:
-    """Intraclass correlation of the errors of rows at one standstill.
-
-    standstill (n_rows,) numbers each row's standstill; rows of one standstill are adjacent.
-    """
-
-    standstill: np.ndarray
-    correlation: float
-
-    @staticmethod
-    def nothing(n_rows: int) -> Sharing:
-        """Return the sharing of rows with independent errors."""
-        return Sharing(np.arange(n_rows), 0.0)
-
-    def only(self, rows: np.ndarray | slice) -> Sharing:
-        """Return the sharing of a subset of rows, which must be whole standstills."""
-        return Sharing(self.standstill[rows], self.correlation)
-
-    @cached_property
-    def begins(self) -> np.ndarray:
-        """Index of the first row of each standstill, shape (n_standstills,)."""
-        return np.flatnonzero(np.diff(self.standstill, prepend=-1))
-
-    @cached_property
-    def size(self) -> np.ndarray:
-        """Number of rows of each standstill, shape (n_standstills,)."""
-        return np.diff(np.append(self.begins, len(self.standstill)))
-
-    def decorrelated(self, values: np.ndarray) -> np.ndarray:
-        """Return whitened errors or their derivatives (n_rows, …), decorrelated: rows independent, of variance 1."""
-        if not (r := self.correlation):
-            return values
-        n = self.size.reshape(-1, *[1] * (values.ndim - 1))
-        gone = (1 - np.sqrt((1 - r) / (1 + (n - 1) * r))) / n * np.add.reduceat(values, self.begins)
-        return np.asarray((values - np.repeat(gone, self.size, axis=0)) / np.sqrt(1 - r))
-
-    def covariance(self, places: np.ndarray) -> np.ndarray:
-        """Return the covariance of the whitened errors of rows given by indices (n_groups, n), shape (n_groups, n, n)."""
-        r, standstill = self.correlation, self.standstill[places]
-        return np.asarray((1 - r) * np.eye(places.shape[1]) + r * (standstill[:, :, None] == standstill[:, None]))
-
-    @property
-    def log_determinant(self) -> float:
-        """Log-determinant of the covariance of the whitened errors along one axis."""
-        others, r = self.size - 1, self.correlation
-        return float((others * np.log1p(-r) + np.log1p(others * r)).sum())
-
-
 Loss = Literal["linear", "soft_l1", "cauchy"]
 
 
@@ -113,7 +64,8 @@ class SeriesBlock:
 
     whitening is (n_units, n_rows) where the axes are independent, else (n_units², n_rows): one matrix per row, in column-major
     order. sigma (n_units, n_rows) is the device's noise along the whitened axes, total its root sum of squares with the model's
-    discrepancy. sharing is the correlation of errors within standstills.
+    discrepancy. standstill (n_rows,) numbers the standstills, whose rows are adjacent and share errors by an intraclass
+    correlation.
     """
 
     model: Model
@@ -124,7 +76,8 @@ class SeriesBlock:
     whitening: np.ndarray
     sigma: np.ndarray
     total: np.ndarray
-    sharing: Sharing
+    standstill: np.ndarray
+    intraclass: float = 0.0
 
     @property
     def weight(self) -> np.ndarray:
@@ -183,7 +136,7 @@ class SeriesBlock:
         """Key of its function in the model's cache: index of the observation, and number of weights per row."""
         return f"{self.model.observations.index(self.observation)} {len(self.whitening)}"
 
-    def at(self, places: np.ndarray) -> SeriesBlock:
+    def at(self, places: np.ndarray | slice) -> SeriesBlock:
         """Return the rows at the given indices (n,), in this order; they must be whole standstills."""
         return replace(
             self,
@@ -193,40 +146,48 @@ class SeriesBlock:
             whitening=self.whitening[:, places],
             sigma=self.sigma[:, places],
             total=self.total[:, places],
-            sharing=self.sharing.only(places),
+            standstill=self.standstill[places],
         )
 
-    def decorrelated(self, values: np.ndarray, part: slice = slice(None)) -> np.ndarray:
-        """Return values of the stacked residuals (n, …) of a part with whole standstills, decorrelated."""
-        by_row = values.reshape(-1, self.n_units, *values.shape[1:])
-        return self.sharing.only(part).decorrelated(by_row).reshape(values.shape)
+    def parts(self, group: np.ndarray | None = None, size: int | None = None) -> Iterator[SeriesBlock]:
+        """Yield successive parts of about `size` rows, so that memory does not grow with the data.
 
-    def parts(self, group: np.ndarray | None = None, size: int | None = None) -> Iterator[slice]:
-        """Yield slices of about `size` rows, so that memory does not grow with the data.
-
-        No slice ends between adjacent rows of one group (n_rows,), by default standstills.
+        No part ends between adjacent rows of one group (n_rows,), by default standstills.
         """
-        group, size = self.sharing.standstill if group is None else group, size or LINEARISED_ROWS
+        group, size = self.standstill if group is None else group, size or LINEARISED_ROWS
         ends, start = np.append(np.flatnonzero(np.diff(group)) + 1, len(group)), 0
         while start < len(group):
             end = int(ends[np.searchsorted(ends, min(start + size, len(group)))])
-            yield slice(start, end)
+            yield self.at(slice(start, end))
             start = end
 
-    def linearised(
-        self, p: np.ndarray, group: np.ndarray | None = None
-    ) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
-        """Yield each of `parts`, its whitened residuals (n, n_units) and Jacobian (n, n_units, n_parameters) at p."""
-        for part in self.parts(group):
-            data = (values[:, part] for values in self.data)
-            residual, jacobian = self.model.over_rows(self.graph, p, *data, passes=EXPECTED_PASSES)
-            yield part, residual.T, jacobian.T.reshape(residual.shape[1], self.n_units, -1)
+    def linearised(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the whitened residuals (n_rows, n_units) and their Jacobian (n_rows, n_units, n_parameters) at p."""
+        residual, jacobian = self.model.over_rows(self.graph, p, *self.data, passes=EXPECTED_PASSES)
+        return residual.T, jacobian.T.reshape(len(self.rows), self.n_units, -1)
 
-    def independent(self, p: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """Yield the residuals of each of `parts` at p, then the decorrelated residuals and Jacobian."""
-        for part, residual, jacobian in self.linearised(p):
-            sharing = self.sharing.only(part)
-            yield residual, sharing.decorrelated(residual), sharing.decorrelated(jacobian)
+    @property
+    def begins(self) -> np.ndarray:
+        """Index of the first row of each standstill, shape (n_standstills,)."""
+        return np.flatnonzero(np.diff(self.standstill, prepend=-1))
+
+    @property
+    def size(self) -> np.ndarray:
+        """Number of rows of each standstill, shape (n_standstills,)."""
+        return np.diff(np.append(self.begins, len(self.standstill)))
+
+    def decorrelated(self, values: np.ndarray) -> np.ndarray:
+        """Return whitened errors or their derivatives (n_rows, …), decorrelated: rows independent, of variance 1."""
+        if not (r := self.intraclass):
+            return values
+        n = self.size.reshape(-1, *[1] * (values.ndim - 1))
+        gone = (1 - np.sqrt((1 - r) / (1 + (n - 1) * r))) / n * np.add.reduceat(values, self.begins)
+        return np.asarray((values - np.repeat(gone, self.size, axis=0)) / np.sqrt(1 - r))
+
+    def covariance(self, places: np.ndarray) -> np.ndarray:
+        """Return the covariance of the whitened errors of rows given by indices (n_groups, n), shape (n_groups, n, n)."""
+        r, standstill = self.intraclass, self.standstill[places]
+        return np.asarray((1 - r) * np.eye(places.shape[1]) + r * (standstill[:, :, None] == standstill[:, None]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,13 +209,14 @@ class LeastSquares:
             rows = np.flatnonzero(data.of_series(k))
             if not len(rows):
                 continue
-            sharing = shared_by(observation, noise, data.only(data.of_series(k)))
-            order = np.argsort(sharing.standstill, kind="stable")
-            rows, sharing, units = rows[order], sharing.only(order), observation.units
+            standstill = sharing(observation, noise, data.only(data.of_series(k)))
+            order = np.argsort(standstill, kind="stable")
+            rows, standstill, units = rows[order], standstill[order], observation.units
             noise_of_rows, reported = noise.only(rows), observation.reported(data.table.iloc[rows])
             blocks.append(SeriesBlock(model, observation, rows, data.conditions[:, rows], reported,
                                       noise_of_rows.whitening(units), noise_of_rows.principal(units),
-                                      noise_of_rows.about_model(units), sharing))  # fmt: skip
+                                      noise_of_rows.about_model(units), standstill,
+                                      noise.intraclass if (np.diff(standstill) == 0).any() else 0.0))  # fmt: skip
         return LeastSquares(model, tuple(blocks))
 
     @cached_property
@@ -265,7 +227,8 @@ class LeastSquares:
     @property
     def log_determinant(self) -> float:
         """Log-determinant of the covariance of the whitened residuals, which is 0 without correlation within standstills."""
-        return sum(block.n_units * block.sharing.log_determinant for block in self.blocks)
+        shared = ((block, block.size - 1, block.intraclass) for block in self.blocks)
+        return sum(block.n_units * float((n * np.log1p(-r) + np.log1p(n * r)).sum()) for block, n, r in shared)
 
     @property
     def n_rows(self) -> int:
@@ -327,10 +290,10 @@ class LeastSquares:
         """Divisor of the objective, so that the same tolerance serves all data."""
         return self.n_rows * self.excess
 
-    def linearised(self, p: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """Yield row indices (n,), whitened residuals (n, n_units) and Jacobian (n, n_units, n_parameters) at p, part by part."""
+    def parts(self) -> Iterator[SeriesBlock]:
+        """Yield the rows of all series, part by part (see `SeriesBlock.parts`)."""
         for block in self.blocks:
-            yield from ((block.rows[part], residual, slopes) for part, residual, slopes in block.linearised(p))
+            yield from block.parts()
 
     def on(self, model: Model) -> LeastSquares:
         """Return the same data with another model, which takes over this model's observations."""
@@ -348,11 +311,14 @@ class LeastSquares:
 
     def decorrelated(self, values: np.ndarray) -> np.ndarray:
         """Return values of the stacked residuals (n, …), decorrelated within standstills."""
-        if not any(block.sharing.correlation for block in self.blocks):
+        if not any(block.intraclass for block in self.blocks):
             return values
         ends = np.cumsum([block.n_units * len(block.rows) for block in self.blocks])[:-1]
-        parts = zip(self.blocks, np.split(values, ends), strict=True)
-        return np.concatenate([block.decorrelated(part) for block, part in parts])
+        parts = (
+            (block, part.reshape(len(block.rows), -1))
+            for block, part in zip(self.blocks, np.split(values, ends), strict=True)
+        )
+        return np.concatenate([block.decorrelated(part) for block, part in parts]).reshape(values.shape)
 
     def reweighted(self, p: np.ndarray, loss: Loss) -> LeastSquares:
         """Return the problem with each row weighted by the slope of a robust loss at p (iteratively reweighted squares)."""
@@ -360,27 +326,27 @@ class LeastSquares:
             return self
         blocks = []
         for block in self.blocks:
-            squared = np.concatenate([(residual**2).sum(axis=1) for _, residual, _ in block.linearised(p)])
+            squared = np.concatenate([(part.linearised(p)[0] ** 2).sum(axis=1) for part in block.parts()])
             blocks.append(replace(block, whitening=block.whitening * np.sqrt(rho_slope(squared, loss))))
         return replace(self, blocks=tuple(blocks))
 
     def reduced(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the stacked residuals (n,) at p, whitened and decorrelated, and Householder's R factor of their Jacobian."""
         residuals, r_factor = [], np.zeros((0, len(p)))
-        for block in self.blocks:
-            for _, residual, jacobian in block.independent(p):
-                residuals.append(residual.ravel())
-                r_factor = np.asarray(np.linalg.qr(np.vstack([r_factor, jacobian.reshape(-1, len(p))]), mode="r"))
+        for part in self.parts():
+            residual, jacobian = map(part.decorrelated, part.linearised(p))
+            residuals.append(residual.ravel())
+            r_factor = np.asarray(np.linalg.qr(np.vstack([r_factor, jacobian.reshape(-1, len(p))]), mode="r"))
         return np.concatenate(residuals), r_factor
 
 
-def shared_by(observation: Observation, noise: Noise, data: Measurements) -> Sharing:
-    """Return the sharing of errors between a series' rows: along common axes only, of isotropic positions or of an image."""
-    if observation.series.within or (observation.units == (METRE,) * 3 and noise.axes is None):
-        standstill = standstills(data)
-        if np.bincount(standstill).max() > 1:
-            return Sharing(standstill, noise.intraclass)
-    return Sharing.nothing(len(data))
+def sharing(observation: Observation, noise: Noise, data: Measurements) -> np.ndarray:
+    """Return the number of the standstill (n_rows,) in which each row of a series shares errors with others.
+
+    Errors are shared along common axes only, of isotropic positions or of an image.
+    """
+    shared = observation.series.within or (observation.units == (METRE,) * 3 and noise.axes is None)
+    return standstills(data) if shared else np.arange(len(data))
 
 
 def rho(squared: np.ndarray, loss: Loss) -> np.ndarray:

@@ -72,7 +72,8 @@ class Studentised:
         squared, whitened = np.empty(len(data)), np.empty(len(data))
         values = np.full((len(data), max(len(observation.units) for observation in model.observations)), np.nan)
         parts = []
-        for rows, residual, whole in LeastSquares.of(model, data, noise).linearised(estimate):
+        for part in LeastSquares.of(model, data, noise).parts():
+            rows, (residual, whole) = part.rows, part.linearised(estimate)
             jacobian = whole[:, :, places]
             predicted = jacobian @ result.covariance @ jacobian.transpose(0, 2, 1)
             if beside is not None:
@@ -197,14 +198,16 @@ def _by_pose(fit: Fit, pose: np.ndarray) -> Iterator[np.ndarray]:
         if not lengths.any():
             continue
         block = block.at(np.argsort(pose[block.rows], kind="stable"))
-        poses = pose[block.rows]
-        for part, residual, jacobian in block.linearised(fit.estimate, poses):
-            _, first, count = np.unique(poses[part], return_index=True, return_counts=True)
+        for part in block.parts(pose[block.rows]):
+            residual, jacobian = part.linearised(fit.estimate)
+            _, first, count = np.unique(pose[part.rows], return_index=True, return_counts=True)
             for many in np.unique(count):
                 rows_of = first[count == many, None] + np.arange(many)
-                spread = block.sharing.only(part).covariance(rows_of)
                 yield _left_out(
-                    residual[rows_of][..., lengths], jacobian[rows_of][:, :, lengths], spread, fit.covariance
+                    residual[rows_of][..., lengths],
+                    jacobian[rows_of][:, :, lengths],
+                    part.covariance(rows_of),
+                    fit.covariance,
                 )
 
 

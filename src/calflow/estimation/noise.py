@@ -185,7 +185,7 @@ class Noise:
     positions (None: none were measured). Where the noise of a position is anisotropic, axes (n_rows, 3, 3) holds the
     principal directions of its covariance as rows and ratios (n_rows, 3) the standard deviations along them over sigma. sources:
     origin of each series' noise; series (n_rows,): index of each row's series (None: all of the first). intraclass: correlation
-    of the errors about the model of positions measured at one standstill, axis by axis (see `Sharing`). scatter: that of repeats.
+    of the errors about the model of positions measured at one standstill, axis by axis. scatter: that of repeats.
     """
 
     sigma: np.ndarray

@@ -161,35 +161,28 @@ class Probe:
 
     def parts(self) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
         """Yield, for some hundred residuals at a time, their slice, and the decorrelated residuals and Jacobian."""
-        for block, part, residuals, left, slopes in self._evaluated():
-            yield residuals, block.decorrelated(left, part), block.decorrelated(slopes, part)
-
-    def whole(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the whitened residuals (n,) and the Jacobian of all rows."""
-        residual, matrix = np.empty(self.problem.size), np.empty(self.shape)
-        for _, _, residuals, left, slopes in self._evaluated():
-            residual[residuals], matrix[residuals] = left, slopes
-        return residual, matrix
-
-    def _evaluated(self) -> Iterator[tuple[SeriesBlock, slice, slice, np.ndarray, np.ndarray]]:
-        """Yield block, slice of its rows, slice of the residuals, and these whitened residuals and Jacobian."""
         start, n = 0, self.n_parameters
         for block, graph in zip(self.problem.blocks, self.graphs, strict=True):
             for part in block.parts(size=ROWS):
-                data = [values[:, part] for values in block.data]
-                left, slopes, *state = over_rows(graph, self.p, *data)
+                left, slopes, *state = over_rows(graph, self.p, *part.data)
                 slopes = slopes.T.reshape(left.shape[1], block.n_units, -1)
                 if self.bases:
                     levers = slopes[..., n:]
                     slopes = np.concatenate([slopes[..., :n], np.zeros((*slopes.shape[:2], self.width))], axis=2)
-                    _fill(slopes[..., n:], self.bases, levers, state[0], data[0])
-                residuals = slice(start + part.start * block.n_units, start + part.stop * block.n_units)
-                yield block, part, residuals, left.T.ravel(), slopes.reshape(-1, self.shape[1])
-            start += len(block.rows) * block.n_units
+                    _fill(slopes[..., n:], self.bases, levers, state[0], part.conditions)
+                rows, start = slice(start, start + left.size), start + left.size
+                yield rows, part.decorrelated(left.T).ravel(), part.decorrelated(slopes).reshape(-1, self.shape[1])
+
+    def whole(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the decorrelated residuals (n,) and the Jacobian of all rows."""
+        residual, matrix = np.empty(self.problem.size), np.empty(self.shape)
+        for rows, left, slopes in self.parts():
+            residual[rows], matrix[rows] = left, slopes
+        return residual, matrix
 
 
 def probed(problem: LeastSquares, p: np.ndarray, effects: Sequence[Effect]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the stacked whitened residuals (n,) at p, and their Jacobian (n, n_parameters + n_columns).
+    """Return the stacked residuals (n,) at p, whitened and decorrelated, and their Jacobian (n, n_parameters + n_columns).
 
     Its columns are the model's parameters, then those of the additional effects, at nominal values.
     """

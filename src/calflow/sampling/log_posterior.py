@@ -274,7 +274,7 @@ def _sum_of_squares(problem: LeastSquares) -> Squares:
     def squares(values: np.ndarray) -> np.ndarray:
         found = np.zeros(values.shape[1])
         for block, row in rows:
-            errors = map(block.sharing.decorrelated, over_points(row, values.T, *block.data))
+            errors = map(block.decorrelated, over_points(row, values.T, *block.data))
             found += [np.vdot(error, error) for error in errors]
         return found
 
