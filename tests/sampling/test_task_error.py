@@ -8,35 +8,37 @@ from scipy.stats import chi
 
 from calflow.deployment.compensation import turn_sd
 from calflow.estimation.calibrated_model import position_variance
-from calflow.sampling.task_points import ErrorDraws, PointErrors, TaskTolerances, point_errors, task_summary, task_table
+from calflow.sampling.task_points import PointErrors, TaskTolerances, point_errors, task_summary, task_table
+
+TEN = TaskTolerances(tolerance=10.0)
 
 
-def spread(parameters: float, own: float, points: int, rng: np.random.Generator) -> ErrorDraws:
-    """Errors of which a part is the same at all points, and another is each point's own."""
+def spread(parameters: float, own: float, points: int, rng: np.random.Generator) -> PointErrors:
+    """Errors of place and turn, of which a part is the same at all points, and another is each point's own."""
     n = 20_000
-    drawn = parameters * rng.standard_normal((n, 1, 3)) * np.ones((1, points, 1))
-    alike = own * rng.standard_normal((n, 1, 3)) * np.ones((1, points, 1))
-    return ErrorDraws(drawn, own * rng.standard_normal((n, points, 3)), alike)
+    drawn = parameters * rng.standard_normal((2, n, 1, 3)) * np.ones((1, points, 1))
+    alike = own * rng.standard_normal((2, n, 1, 3)) * np.ones((1, points, 1))
+    return PointErrors(drawn, own * rng.standard_normal((2, n, points, 3)), alike)
 
 
 def test_probabilities_are_those_of_normal_errors():
     """Fails if a radius, a point's probability or that of all points is not what normal errors have."""
     found = spread(3.0, 4.0, 6, np.random.default_rng(1))
-    assert found.radius == pytest.approx(np.full(6, 5 * chi.ppf(0.95, 3)), rel=0.02)
-    assert found.expected == pytest.approx(np.full(6, 5 * chi.mean(3)), rel=0.02)
-    assert found.within(10.0).mean(axis=0) == pytest.approx(np.full(6, chi.cdf(2.0, 3)), abs=0.01)
+    assert found.radius == pytest.approx(np.full((2, 6), 5 * chi.ppf(0.95, 3)), rel=0.02)
+    assert found.expected == pytest.approx(np.full((2, 6), 5 * chi.mean(3)), rel=0.02)
+    assert found.within(TEN).mean(axis=0) == pytest.approx(np.full(6, chi.cdf(2.0, 3)), abs=0.01)
     independent = spread(0.0, 5.0, 6, np.random.default_rng(2))
-    assert independent.within(10.0).all(axis=1).mean() == pytest.approx(chi.cdf(2.0, 3) ** 6, abs=0.015)
-    assert independent.within(10.0, alike=True).all(axis=1).mean() == pytest.approx(chi.cdf(2.0, 3), abs=0.01)
+    assert independent.within(TEN).all(axis=1).mean() == pytest.approx(chi.cdf(2.0, 3) ** 6, abs=0.015)
+    assert independent.within(TEN, alike=True).all(axis=1).mean() == pytest.approx(chi.cdf(2.0, 3), abs=0.01)
 
 
 def test_a_point_meets_both_tolerances_or_none():
     """Fails if a point counts as within where only its place, or only its orientation, is."""
     rng = np.random.default_rng(3)
-    found = PointErrors(spread(0.0, 1.0, 2, rng), spread(0.0, 1.0, 2, rng))
+    found = spread(0.0, 1.0, 2, rng)
     expected = chi.cdf(1.5, 3) * chi.cdf(2.0, 3)
-    assert found.within(1.5, 2.0).mean() == pytest.approx(expected, abs=0.01)
-    assert found.within(None, None).all()
+    assert found.within(TaskTolerances(tolerance=1.5, turn_tolerance=2.0)).mean() == pytest.approx(expected, abs=0.01)
+    assert found.within(TaskTolerances()).all()
 
 
 @pytest.fixture(scope="module")
@@ -54,8 +56,8 @@ def test_true_errors_are_as_large_as_was_said(calibrations):
     z, below = [], []
     for case, _, known, task, found in calibrations:
         error = case.model.point(case.truth, task.conditions) - known.model.point(known.estimate, task.conditions)
-        z.append(error / found.position.sd)
-        below.append(np.linalg.norm(error, axis=1) < found.position.radius)
+        z.append(error / found.sd[0])
+        below.append(np.linalg.norm(error, axis=1) < found.radius[0])
     assert 0.75 < np.sqrt(np.mean(np.square(z))) < 1.15
     assert np.mean(below) > 0.9
 
@@ -64,8 +66,8 @@ def test_draws_and_the_fits_covariance_agree(calibrations):
     """Fails if what the model lacks is left out of either, or orientations are not the draws': errors here are nearly normal."""
     for _, _, known, task, found in calibrations[:4]:
         expected = np.sqrt(position_variance(known, task.conditions))
-        np.testing.assert_allclose(found.position.sd, expected, rtol=0.25)
-        np.testing.assert_allclose(np.median(found.turn.sd / turn_sd(known, task.conditions)), 1.0, atol=0.15)
+        np.testing.assert_allclose(found.sd[0], expected, rtol=0.25)
+        np.testing.assert_allclose(np.median(found.sd[1] / turn_sd(known, task.conditions)), 1.0, atol=0.15)
 
 
 def test_what_was_not_measured_is_said(calibrations):

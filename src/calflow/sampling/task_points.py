@@ -28,9 +28,23 @@ PROMISED_SHARE = 0.95  # probability of the stated radius
 LIKELY = 0.95  # least probability for a point to count as within tolerance
 
 
+@dataclass(frozen=True, kw_only=True)
+class TaskTolerances:
+    """The tolerances of a task's positions [m] and orientations [rad], None for none, and whether its points are a path."""
+
+    tolerance: float | None = None
+    turn_tolerance: float | None = None
+    in_order: bool = False
+
+    @property
+    def anything(self) -> bool:
+        """Whether any tolerance is stated."""
+        return self.tolerance is not None or self.turn_tolerance is not None
+
+
 @dataclass(frozen=True, eq=False)
-class ErrorDraws:
-    """Draws of the error of position [m] or orientation [rad] at a task's points, each (n_draws, n_points, 3).
+class PointErrors:
+    """Draws of a robot's errors of position [m] and orientation [rad] at a task's points, (2, n_draws, n_points, 3) each.
 
     drawn: due to the parameters; lacking: model discrepancy, independent at each point; alike: the same discrepancy,
     perfectly correlated over all points.
@@ -42,46 +56,33 @@ class ErrorDraws:
 
     @property
     def errors(self) -> np.ndarray:
-        """Draws of the error, shape (n_draws, n_points, 3)."""
+        """Draws of the error, shape (2, n_draws, n_points, 3)."""
         return self.drawn + self.lacking
 
     @property
-    def lengths(self) -> np.ndarray:
-        """Draws of the error's norm, shape (n_draws, n_points)."""
-        return np.linalg.norm(self.errors, axis=2)
-
-    @property
     def expected(self) -> np.ndarray:
-        """Mean norm of the error at each point, shape (n_points,)."""
-        return self.lengths.mean(axis=0)
+        """Mean norm of the errors at each point, shape (2, n_points)."""
+        return np.linalg.norm(self.errors, axis=3).mean(axis=1)
 
     @property
     def sd(self) -> np.ndarray:
-        """Root mean square error about the model's prediction at each point by axis, shape (n_points, 3)."""
-        return np.sqrt((self.errors**2).mean(axis=0))
+        """Root mean square error about the model's prediction at each point by axis, shape (2, n_points, 3)."""
+        return np.sqrt((self.errors**2).mean(axis=1))
 
     @property
     def radius(self) -> np.ndarray:
-        """Quantile PROMISED_SHARE of the error's norm at each point, shape (n_points,)."""
-        return np.quantile(self.lengths, PROMISED_SHARE, axis=0)
+        """Quantile PROMISED_SHARE of the errors' norm at each point, shape (2, n_points)."""
+        return np.quantile(np.linalg.norm(self.errors, axis=3), PROMISED_SHARE, axis=1)
 
-    def within(self, tolerance: float, alike: bool = False) -> np.ndarray:
-        """Return whether the error of each draw at each point is below a tolerance, shape (n_draws, n_points)."""
-        errors = self.drawn + (self.alike if alike else self.lacking)
-        return np.asarray(np.linalg.norm(errors, axis=2) < tolerance)
-
-
-@dataclass(frozen=True, eq=False)
-class PointErrors:
-    """Draws of a calibrated robot's errors of position [m] and orientation [rad] at a task's points."""
-
-    position: ErrorDraws
-    turn: ErrorDraws
-
-    def within(self, tolerance: float | None, turn_tolerance: float | None, alike: bool = False) -> np.ndarray:
+    def within(self, asked: TaskTolerances, alike: bool = False) -> np.ndarray:
         """Return whether each draw of each point meets all tolerances required, shape (n_draws, n_points)."""
-        limit, turn_limit = (np.inf if asked is None else asked for asked in (tolerance, turn_tolerance))
-        return self.position.within(limit, alike) & self.turn.within(turn_limit, alike)
+        limits = np.array([np.inf if limit is None else limit for limit in (asked.tolerance, asked.turn_tolerance)])
+        errors = self.drawn + (self.alike if alike else self.lacking)
+        return np.asarray((np.linalg.norm(errors, axis=3) < limits[:, None, None]).all(axis=0))
+
+    def likely(self, asked: TaskTolerances) -> int | None:
+        """Return the number of points that meet the tolerances with probability LIKELY or more; None without any."""
+        return int((self.within(asked).mean(axis=0) >= LIKELY).sum()) if asked.anything else None
 
 
 def point_errors(
@@ -105,23 +106,22 @@ def point_errors(
     draws = replace(PosteriorDraws.of(posterior, TASK_DRAWS, rng), calibrated=lean)
     factor = np.exp(2 * draws.values[:, -1])[:, None, None]  # of the noise's variance
 
-    def errors(quantity: Quantity, slope: Slope, left: np.ndarray) -> ErrorDraws:
+    def errors(quantity: Quantity, slope: Slope, left: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         here = quantity(lean.model, lean.estimate)
         drawn = np.array([quantity(lean.model, draw) for draw in draws.values[:, :-1]]) - here + draws.shifts(quantity)
         size = np.sqrt(left + _held(calibrated, lean, conditions, slope))
         alike = rng.standard_normal((len(drawn), 1, 3))
-        return ErrorDraws(drawn, size * rng.standard_normal(drawn.shape), size * alike)
+        return drawn, size * rng.standard_normal(drawn.shape), size * alike
 
-    return PointErrors(
-        errors(
-            lambda model, p: model.point(p, conditions),
-            Model.point_jacobian,
-            factor * left_variance(calibrated, conditions) + widened,
-        ),
-        errors(
-            _turn_from(calibrated, conditions), Model.rotation_jacobian, factor * calibrated.discrepancy[RADIAN] ** 2
-        ),
+    position = errors(
+        lambda model, p: model.point(p, conditions),
+        Model.point_jacobian,
+        factor * left_variance(calibrated, conditions) + widened,
     )
+    turn = errors(
+        _turn_from(calibrated, conditions), Model.rotation_jacobian, factor * calibrated.discrepancy[RADIAN] ** 2
+    )
+    return PointErrors(*map(np.stack, zip(position, turn, strict=True)))
 
 
 def _turn_from(calibrated: CalibratedModel, conditions: np.ndarray) -> Quantity:
@@ -201,35 +201,20 @@ class TaskSummary:
     notes: tuple[str, ...] = column("remarks on the interpretation of these figures", default=())
 
 
-@dataclass(frozen=True, kw_only=True)
-class TaskTolerances:
-    """The tolerances of a task's positions [m] and orientations [rad], None for none, and whether its points are a path."""
-
-    tolerance: float | None = None
-    turn_tolerance: float | None = None
-    in_order: bool = False
-
-    @property
-    def anything(self) -> bool:
-        """Whether any tolerance is stated."""
-        return self.tolerance is not None or self.turn_tolerance is not None
-
-
 def task_table(
     calibrated: CalibratedModel, task: Measurements, measured: Measurements, errors: PointErrors, asked: TaskTolerances
 ) -> pd.DataFrame:
     """Return a table with one row (`TaskPoint`) per point of the task; measured are the fitted rows."""
     place = expected_point(calibrated, task.conditions)
     nominal = calibrated.model.point(calibrated.model.nominal, task.conditions)
-    within = errors.within(asked.tolerance, asked.turn_tolerance).mean(axis=0) if asked.anything else np.nan
-    position, turn = errors.position, errors.turn
-    by_axis = [("{}_mm", place), ("sd_{}_mm", position.sd), ("sd_turn_{}_mrad", turn.sd)]
+    within = errors.within(asked).mean(axis=0) if asked.anything else np.nan
+    (sd, sd_turn), (expected, turn), (radius, turn95) = errors.sd, errors.expected, errors.radius
+    by_axis = [("{}_mm", place), ("sd_{}_mm", sd), ("sd_turn_{}_mrad", sd_turn)]
     table = task.table[["payload", "marker"]].assign(
         point=task.table["pose"],
         **{name.format(axis): 1e3 * values[:, k] for name, values in by_axis for k, axis in enumerate("xyz")},
         nominal_mm=1e3 * np.linalg.norm(nominal - place, axis=1),
-        expected_mm=1e3 * position.expected, radius95_mm=1e3 * position.radius,
-        turn_mrad=1e3 * turn.expected, turn95_mrad=1e3 * turn.radius,
+        expected_mm=1e3 * expected, radius95_mm=1e3 * radius, turn_mrad=1e3 * turn, turn95_mrad=1e3 * turn95,
         within=within, beyond=_unmeasured(task, measured),
     )  # fmt: skip
     return typed(table, TaskPoint)
@@ -240,10 +225,7 @@ def task_summary(
 ) -> TaskSummary:
     """Return the predicted accuracy over the whole task."""
     together = [
-        float(errors.within(asked.tolerance, asked.turn_tolerance, alike).all(axis=1).mean())
-        if asked.anything
-        else None
-        for alike in (False, True)
+        float(errors.within(asked, alike).all(axis=1).mean()) if asked.anything else None for alike in (False, True)
     ]
     return TaskSummary(
         points=len(table), in_order=asked.in_order,
@@ -251,18 +233,13 @@ def task_summary(
         turn_tolerance_mrad=None if asked.turn_tolerance is None else 1e3 * asked.turn_tolerance,
         nominal_mm=table["nominal_mm"].mean(), expected_mm=table["expected_mm"].mean(),
         worst_radius95_mm=table["radius95_mm"].max(), worst_turn95_mrad=table["turn95_mrad"].max(),
-        likely_points=int((table["within"] >= LIKELY).sum()) if asked.anything else None,
-        likely_positions=_likely(errors.position, asked.tolerance), likely_turns=_likely(errors.turn, asked.turn_tolerance),
+        likely_points=errors.likely(asked), likely_positions=errors.likely(replace(asked, turn_tolerance=None)),
+        likely_turns=errors.likely(replace(asked, tolerance=None)),
         orientation_measured=any(isinstance(seen, Pose) for seen in calibrated.model.observations),
         least_within=float(table["within"].min()) if asked.anything else None,
         all_within=together[0], all_within_alike=together[1],
         beyond_measured=int((table["beyond"] != "").sum()), notes=notes,
     )  # fmt: skip
-
-
-def _likely(draws: ErrorDraws, tolerance: float | None) -> int | None:
-    """Return the number of points that meet a tolerance with probability LIKELY or more."""
-    return None if tolerance is None else int((draws.within(tolerance).mean(axis=0) >= LIKELY).sum())
 
 
 def _unmeasured(task: Measurements, measured: Measurements) -> list[str]:
