@@ -23,7 +23,7 @@ from calflow.diagnosis.stepwise import SPLIT, CauseAcceptance, Stepwise, verifie
 from calflow.diagnosis.trial import Detection, Linearisation, Screened, Trial
 from calflow.diagnosis.verdict import verdict
 from calflow.estimation.progress import nobody
-from calflow.estimation.variance_components import Amplitudes, refitted_cost
+from calflow.estimation.variance_components import refitted_cost
 from calflow.files.problems import Problem, refuse_any
 from calflow.files.toml import Count, FalseAlarm, checked_arguments
 
@@ -258,11 +258,10 @@ class LinearTrial(Trial[Block]):
             volumes.append(np.linalg.slogdet(scaled.T @ scaled + solution.level**2 * np.eye(fitted))[1])
         return float(solution.errors.log_determinant + solution.errors.narrowed + volumes[1] - volumes[0])
 
-    def _amplitudes(self, block: Block, columns: np.ndarray) -> Amplitudes:
+    def _amplitudes(self, block: Block, columns: np.ndarray) -> tuple[np.ndarray, int]:
         solution, variants = self.solution, sum(block.name == other.name for other in self.problem.blocks)
-        return Amplitudes.of(
-            solution.estimate[columns], solution.prior_sd[columns], solution.at_bound[columns], variants
-        )
+        sizes = solution.estimate[columns] / solution.prior_sd[columns]
+        return np.where(solution.at_bound[columns], np.nan, sizes), variants
 
     @cached_property
     def linearisation(self) -> Linearisation[Block]:

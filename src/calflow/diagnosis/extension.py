@@ -33,7 +33,7 @@ from calflow.effects.cause import Cause
 from calflow.estimation.fit import Fit
 from calflow.estimation.leverage import halved
 from calflow.estimation.progress import Advance, nobody
-from calflow.estimation.variance_components import Amplitudes, refitted_cost, size_cost
+from calflow.estimation.variance_components import refitted_cost, spent
 
 CLEARLY_FINER = 2.0  # least decrease of cost of a variant against its neighbour for another fit
 HALVINGS = 3  # which make eight blocks of each kind
@@ -66,7 +66,7 @@ class FittedTrial(Trial[Cause]):
         settled = Screening(fitted.beside)
         estimate = fitted.fit.estimate.copy()
         estimate[free] += settled.change
-        every = [self._amplitudes(cause, estimate) for cause in self.causes]
+        every = [amplitudes(fitted, cause, estimate, self.catalogue.variants) for cause in self.causes]
         columns = np.concatenate([np.zeros(0, dtype=int), *(model.columns(cause) for cause in self.causes)])
         shown = np.flatnonzero(np.isin(free, columns))
         root = settled.root_covariance(shown) / model.prior_sd[free[shown]]
@@ -138,12 +138,6 @@ class FittedTrial(Trial[Cause]):
 
     def _finer(self, cause: Cause) -> list[Cause]:
         return [replace(cause, effect=effect) for effect in cause.effect.finer(self.fitted.data)]
-
-    def _amplitudes(self, cause: Cause, estimate: np.ndarray) -> Amplitudes:
-        model = self.fitted.model
-        columns, variants = model.columns(cause), self.catalogue.variants.get(cause.place, 1)
-        offset = estimate[columns] - model.prior_mean[columns]
-        return Amplitudes.of(offset, model.prior_sd[columns], self.fitted.fit.at_bound[columns], variants)
 
 
 @dataclass(frozen=True)
@@ -302,16 +296,20 @@ def unnamed(
         unevenly = uneven_causes(fitted, alone=cause)
         other, whole = Sizes.of(without, basis, fitted.problem, unevenly), Sizes.beside(fitted, basis)
         lost, kept = (sizes.likeliest(other.components.total, same_in(cause)) for sizes in (other, whole))
-        evidence[cause] = lost - kept - _spent(fitted, cause, variants)
+        evidence[cause] = lost - kept - spent(*amplitudes(fitted, cause, fitted.fit.estimate, variants))
     return evidence
 
 
-def _spent(fitted: Fitted, cause: Cause, variants: Mapping[Place, int]) -> float:
-    """Return the cost of a cause for the forms that were tried, and for its size, beyond that of its normal prior."""
-    columns = fitted.model.columns(cause)
-    columns = columns[~fitted.fit.at_bound[columns]]
-    pulled = float(((fitted.fit.estimate[columns] / fitted.model.prior_sd[columns]) ** 2).sum())
-    return size_cost(pulled, len(columns)) - pulled + 2 * float(np.log(variants.get(cause.place, 1)))
+def amplitudes(
+    fitted: Fitted, cause: Cause, estimate: np.ndarray, variants: Mapping[Place, int]
+) -> tuple[np.ndarray, int]:
+    """Return the amplitudes of a model's cause at an estimate, and the number of forms that were tried at its place.
+
+    They are over their usual sizes, nan at a bound (see `spent`).
+    """
+    model, columns = fitted.model, fitted.model.columns(cause)
+    sizes = (estimate[columns] - model.prior_mean[columns]) / model.prior_sd[columns]
+    return np.where(fitted.fit.at_bound[columns], np.nan, sizes), variants.get(cause.place, 1)
 
 
 def weighed(

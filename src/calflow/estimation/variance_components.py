@@ -368,46 +368,37 @@ def size_cost(pulled: float, number: int) -> float:
     return float(-2 * mixed(-pulled / SIZES**2 / 2 - number * np.log(SIZES)))
 
 
+def spent(amplitudes: np.ndarray, variants: int) -> float:
+    """Return minus twice the log prior of a cause's amplitudes by a refit, beyond that of a normal prior of the usual size.
+
+    Args:
+        amplitudes: estimates less the prior means, over their usual sizes; nan at a bound.
+        variants: number of forms of the cause that were tried.
+    """
+    pulled = float(np.nansum(amplitudes**2))
+    return size_cost(pulled, int(np.isfinite(amplitudes).sum())) - pulled + 2 * float(np.log(variants))
+
+
 def refitted_cost(
-    chi2: float, level: float, degrees_of_freedom: float, fitted: Sequence[Amplitudes], log_determinant: float
+    chi2: float,
+    level: float,
+    degrees_of_freedom: float,
+    fitted: Sequence[tuple[np.ndarray, int]],
+    log_determinant: float,
 ) -> float:
     """Return minus twice the log evidence of a refitted model, comparable with others of the same data.
 
-    The causes' amplitudes are integrated out by Laplace's approximation; the model's other parameters are common to all.
+    The causes' amplitudes are integrated out by Laplace's approximation; the model's other parameters are common to all. An
+    amplitude at a bound was fitted without effect, and counts as by BIC (Schwarz 1978).
 
     Args:
         chi2: that of the model, with the causes' prior terms.
         level: standard deviation by which residuals were divided.
         degrees_of_freedom: residual ones of the model without causes, as in `log_likelihood`.
-        fitted: the causes' amplitudes.
+        fitted: each cause's amplitudes and number of variants, as for `spent`.
         log_determinant: that of the covariance of the amplitudes off their bounds, over their usual sizes.
     """
-    by_prior = sum(amplitudes.cost(degrees_of_freedom) for amplitudes in fitted)
-    misfit = (chi2 - sum(amplitudes.pulled for amplitudes in fitted)) * level**2
-    return degrees_of_freedom * float(np.log(misfit)) + by_prior - log_determinant
-
-
-@dataclass(frozen=True)
-class Amplitudes:
-    """A cause's amplitudes by a refit: sum of squared estimates over usual sizes, pulled, and numbers of free and held ones.
-
-    variants is the number of forms of the cause that were tried. An amplitude at a bound was fitted without effect, and counts as
-    by BIC (Schwarz 1978).
-    """
-
-    pulled: float
-    free: int
-    held: int
-    variants: int
-
-    @staticmethod
-    def of(offset: np.ndarray, sd: np.ndarray, at_bound: np.ndarray, variants: int) -> Amplitudes:
-        """Return the amplitudes from offsets of estimates from the prior means, usual sizes and a mask of bounds, (n,) each."""
-        free = ~at_bound
-        pulled = float(((offset[free] / sd[free]) ** 2).sum())
-        return Amplitudes(pulled, int(free.sum()), int(at_bound.sum()), variants)
-
-    def cost(self, degrees_of_freedom: float) -> float:
-        """Return minus twice the log prior of the amplitudes."""
-        held = self.held * float(np.log(degrees_of_freedom))
-        return size_cost(self.pulled, self.free) + held + 2 * float(np.log(self.variants))
+    every = np.concatenate([np.zeros(0), *(amplitudes for amplitudes, _ in fitted)])
+    pulled, held = float(np.nansum(every**2)), np.isnan(every).sum()
+    by_prior = sum(spent(*cause) for cause in fitted) + pulled + held * float(np.log(degrees_of_freedom))
+    return degrees_of_freedom * float(np.log((chi2 - pulled) * level**2)) + by_prior - log_determinant
