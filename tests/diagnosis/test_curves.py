@@ -48,7 +48,7 @@ def drawn(*names, q, approach):
     data = Measurements(ROBOT, table)
     level = Noise(np.full(len(q), NOISE), ("file",))
     problem = LeastSquares.of(model, data, level)
-    fit = Fit(problem, estimate, 0.0, (noise / NOISE).ravel(), np.eye(len(estimate)), 0, True, "")
+    fit = Fit(problem, estimate, "linear", 0.0, (noise / NOISE).ravel(), 0 * estimate, np.eye(len(estimate)))
     fitted = Fitted(fit, data, level, LackOfFit(1.0, 0.5, 0.0), level)
     return curves(fitted, causes, data), noise
 
@@ -132,7 +132,9 @@ def test_no_finding_draws_nothing(rows):
     model = build(ROBOT, ("geometry",))
     level = Noise(np.ones(len(data)), ("file",))
     problem = LeastSquares.of(model, data, level)
-    fit = Fit(problem, model.nominal, 0.0, np.zeros(3 * len(data)), np.eye(len(model.nominal)), 0, True, "")
+    fit = Fit(
+        problem, model.nominal, "linear", 0.0, np.zeros(3 * len(data)), 0 * model.nominal, np.eye(len(model.nominal))
+    )
     none = curves(Fitted(fit, data, level, LackOfFit(1.0, 0.5, 0.0), level), [], data)
     assert list(none.columns) == [column.name for column in columns(CurvePoint)]
     assert none.empty

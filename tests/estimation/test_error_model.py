@@ -268,7 +268,7 @@ def test_beyond_a_measured_travel_a_curve_is_another_of_its_kind():
     model = replace(model, effects=(*model.effects, cause))
     estimate, sure = model.nominal.copy(), 1e16 * np.eye(len(model.nominal))
     estimate[model.columns(cause)[:2]] = 3e-4
-    result = Fit(LeastSquares.of(model, data, stated(data)), estimate, 0.0, np.zeros(0), sure, 0, True, "")
+    result = Fit(LeastSquares.of(model, data, stated(data)), estimate, "linear", 0.0, np.zeros(0), 0 * estimate, sure)
     errors = continued(ErrorModel.white(SIGMA, len(estimate)), result, data)
     inside = data.joints[:, 0] < high[0]
     beyond = data.joints[:, 0] > high[0] + 0.06 * (high[0] - low[0])

@@ -14,7 +14,7 @@ from numpy.testing import assert_allclose
 from calflow.estimation import calibrated_model as certainty
 from calflow.estimation import least_squares
 from calflow.estimation.calibrated_model import parameter_variance
-from calflow.estimation.fit import Fit, IntraclassLikelihood, expansion, fit, fit_to_all
+from calflow.estimation.fit import Fit, IntraclassLikelihood, fit, fit_to_all
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.leverage import Studentised, left_out
 from calflow.estimation.noise import AT_LEAST, Noise, members, representative, standstills
@@ -56,8 +56,8 @@ def poses(data: Measurements) -> np.ndarray:
 
 
 def expanded(data: Measurements, result: Fit) -> tuple[np.ndarray, ...]:
-    found = expansion(result.problem, result.estimate / result.model.prior_sd, "linear")
-    return found.gradient, found.hessian, found.residual
+    found = Fit.at(result.problem, result.estimate)
+    return found.gradient, found.information, found.residual
 
 
 def without_each(data: Measurements, result: Fit) -> tuple[np.ndarray, ...]:

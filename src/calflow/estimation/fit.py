@@ -50,20 +50,40 @@ MIN_COMMON_FREEDOM = 10.0
 class Fit:
     """The maximum-a-posteriori estimate (n_parameters,), with its residuals and information matrix.
 
-    residual (n,) is whitened by the problem's noise. information (n_parameters, n_parameters) is the Gauss-Newton Hessian of the
-    objective, priors included, with rows weighted by the loss. covariance is Laplace's, over the parameters off their bounds,
-    with zeros for a parameter at a bound. objective is half of chi² plus half of the priors' quadratic form.
+    objective is half of chi² plus half of the priors' quadratic form. residual (n,) is whitened by the problem's noise, before
+    decorrelation within standstills. gradient (n_parameters,) and information (n_parameters, n_parameters) are the objective's
+    derivative and Gauss-Newton Hessian, priors included, with rows weighted by the loss. covariance is Laplace's, over the
+    parameters off their bounds, with zeros for a parameter at a bound. iterations, converged and status are the solver's.
     """
 
     problem: LeastSquares
     estimate: np.ndarray
+    loss: Loss
     objective: float
     residual: np.ndarray
+    gradient: np.ndarray
     information: np.ndarray
-    iterations: int
-    converged: bool
-    status: str
-    loss: Loss = "linear"
+    iterations: int = 0
+    converged: bool = True
+    status: str = ""
+
+    @staticmethod
+    def at(problem: LeastSquares, estimate: np.ndarray, loss: Loss = "linear") -> Fit:
+        """Return the objective and its derivatives at an estimate, block by block, so that memory does not grow with the rows."""
+        model, n = problem.model, len(estimate)
+        offset, precision = estimate - model.prior_mean, model.prior_sd**-2.0
+        value, gradient, information = 0.5 * offset @ (precision * offset), precision * offset, np.diag(precision)
+        errors = list[np.ndarray]()
+        for part in problem.parts():
+            error, slopes = part.linearised(estimate)
+            residual, jacobian = part.decorrelated(error), part.decorrelated(slopes)
+            squared = (residual**2).sum(axis=1)
+            weighted = jacobian if loss == "linear" else rho_slope(squared, loss)[:, None, None] * jacobian
+            value += 0.5 * float(rho(squared, loss).sum())
+            gradient += weighted.reshape(-1, n).T @ residual.ravel()
+            information += weighted.reshape(-1, n).T @ jacobian.reshape(-1, n)
+            errors.append(error.ravel())
+        return Fit(problem, estimate, loss, float(value), np.concatenate(errors), gradient, information)
 
     @property
     def model(self) -> Model:
@@ -114,7 +134,7 @@ def fit(problem: LeastSquares, starts: np.ndarray | None = None, loss: Loss = "l
         starts: parameter values to start from, shape (n_starts, n_parameters); the priors' means by default.
         loss: function of a row's squared whitened residual; soft_l1 and cauchy down-weight outliers.
     """
-    solver, expanded, _callbacks = _solver(problem, loss)
+    solver, at, _callbacks = _solver(problem, loss)
     model = problem.model
     starts = model.prior_mean[None] if starts is None else starts
     lower, upper = model.bounds.T / model.prior_sd
@@ -124,70 +144,23 @@ def fit(problem: LeastSquares, starts: np.ndarray | None = None, loss: Loss = "l
         solution = solver(x0=inside, lbx=lower, ubx=upper)
         if solver.stats()["return_status"] == INTERRUPTED:
             raise KeyboardInterrupt
-        at = np.array(solution["x"]).ravel()
-        solutions.append((expanded(at.tobytes()), at, solver.stats()))
-    there, x, stats = min(solutions, key=lambda solution: solution[0].value)
-    agree = sum(other.value - there.value < SAME_OPTIMUM for other, _, _ in solutions)
-    result = Fit(
-        problem,
-        x * model.prior_sd,
-        there.value,
-        there.residual,
-        there.information(model.prior_sd),
-        stats["iter_count"],
-        stats["success"] or stats["return_status"] == STOPPED,
-        SOLVED if stats["return_status"] == STOPPED else stats["return_status"],
-        loss,
+        solutions.append((at(np.array(solution["x"]).tobytes()), solver.stats()))
+    there, stats = min(solutions, key=lambda solution: solution[0].objective)
+    agree = sum(other.objective - there.objective < SAME_OPTIMUM for other, _ in solutions)
+    stopped = stats["return_status"] == STOPPED
+    result = replace(
+        there,
+        iterations=stats["iter_count"],
+        converged=stats["success"] or stopped,
+        status=SOLVED if stopped else stats["return_status"],
     )
     return result, agree
-
-
-def restated(result: Fit, problem: LeastSquares) -> Fit:
-    """Return the fit at the same estimate, its residuals and information re-evaluated with the weights of another problem."""
-    prior_sd = problem.model.prior_sd
-    there = expansion(problem, result.estimate / prior_sd, result.loss)
-    return replace(result, problem=problem, residual=there.residual, information=there.information(prior_sd))
 
 
 def draw_starts(model: Model, n_starts: int, rng: np.random.Generator) -> np.ndarray:
     """Return the priors' means and n_starts - 1 draws with half the priors' standard deviation, (n_starts, n_parameters)."""
     drawn = model.prior_mean + 0.5 * model.prior_sd * rng.standard_normal((n_starts - 1, len(model.prior_mean)))
     return np.vstack([model.prior_mean, np.clip(drawn, *model.bounds.T)])
-
-
-@dataclass(frozen=True)
-class Expansion:
-    """The objective at one point, its gradient and Gauss-Newton Hessian, in coordinates scaled by the priors.
-
-    residual (n,) are the stacked whitened residuals, before decorrelation within standstills.
-    """
-
-    value: float
-    gradient: np.ndarray
-    hessian: np.ndarray
-    residual: np.ndarray
-
-    def information(self, prior_sd: np.ndarray) -> np.ndarray:
-        """Return the Hessian with respect to the unscaled parameters."""
-        return np.asarray(self.hessian / np.outer(prior_sd, prior_sd))
-
-
-def expansion(problem: LeastSquares, x: np.ndarray, loss: Loss) -> Expansion:
-    """Expand the objective about scaled parameters x, block by block, so that memory does not grow with the rows."""
-    model, n = problem.model, len(x)
-    offset = x - model.prior_mean / model.prior_sd
-    value, gradient, hessian = 0.5 * offset @ offset, offset.copy(), np.eye(n)
-    errors = list[np.ndarray]()
-    for part in problem.parts():
-        error, jacobian = part.linearised(x * model.prior_sd)
-        residual, jacobian = part.decorrelated(error), part.decorrelated(jacobian) * model.prior_sd
-        squared = (residual**2).sum(axis=1)
-        weighted = jacobian if loss == "linear" else rho_slope(squared, loss)[:, None, None] * jacobian
-        value += 0.5 * float(rho(squared, loss).sum())
-        gradient += weighted.reshape(-1, n).T @ residual.ravel()
-        hessian += weighted.reshape(-1, n).T @ jacobian.reshape(-1, n)
-        errors.append(error.ravel())
-    return Expansion(value, gradient, hessian, np.concatenate(errors))
 
 
 Answer = Callable[..., Sequence[Any]]
@@ -230,40 +203,41 @@ class _Callback(ca.Callback):
         return 0
 
 
-def _solver(problem: LeastSquares, loss: Loss) -> tuple[ca.Function, Callable[[bytes], Expansion], list[_Callback]]:
-    """Return IPOPT's solver in coordinates scaled by the priors, the cached expansion it evaluates, and its callbacks.
+def _solver(problem: LeastSquares, loss: Loss) -> tuple[ca.Function, Callable[[bytes], Fit], list[_Callback]]:
+    """Return IPOPT's solver in coordinates scaled by the priors, the cached evaluation at a point, and its callbacks.
 
     The callbacks must live as long as the solver does.
     """
-    n, bounds = len(problem.model.parameters), problem.model.bounds.T / problem.model.prior_sd
-    scale, size = problem.scale, problem.size
+    n, sd = len(problem.model.parameters), problem.model.prior_sd
+    bounds, scale, size = problem.model.bounds.T / sd, problem.scale, problem.size
 
     @lru_cache(maxsize=2)
-    def at(point: bytes) -> Expansion:
-        return expansion(problem, np.frombuffer(point), loss)
+    def at(point: bytes) -> Fit:
+        return Fit.at(problem, np.frombuffer(point) * sd, loss)
 
     def settled(
         x: np.ndarray, f: np.ndarray, g: np.ndarray, multipliers: np.ndarray, *others: np.ndarray
     ) -> list[bool]:
         there, pushed = at(x.tobytes()), scale * multipliers
-        left = there.gradient + pushed
+        left = there.gradient * sd + pushed
         room = np.where(pushed < 0, x - bounds[0], bounds[1] - x)
-        gain = 0.5 * left @ np.linalg.solve(there.hessian, left)  # the decrease that a Newton step predicts
-        misfit = max(1.0, there.value / size)
+        # The decrease that a Newton step predicts.
+        gain = 0.5 * left @ np.linalg.solve(there.information * np.outer(sd, sd), left)
+        misfit = max(1.0, there.objective / size)
         return [bool(gain < SETTLED * misfit and (np.abs(pushed) * room).max() < SAME_OPTIMUM)]
 
     def value(x: np.ndarray) -> float:
-        return at(x.tobytes()).value / scale + ROUND_OFF
+        return at(x.tobytes()).objective / scale + ROUND_OFF
 
     point, scalar, upper = {"x": n, "p": 0}, ca.Sparsity.dense(1, 1), np.tril_indices(n)
     nlp = _Callback("nlp", point, {"f": scalar, "g": ca.Sparsity(0, 1)}, lambda x, p: (value(x), ()))
     gradient = _Callback(
         "grad_f", point, {"f": scalar, "grad_f_x": ca.Sparsity.dense(n, 1)},
-        lambda x, p: (value(x), at(x.tobytes()).gradient / scale),
+        lambda x, p: (value(x), at(x.tobytes()).gradient * sd / scale),
     )  # fmt: skip
     hessian = _Callback(
         "hess_lag", {**point, "lam_f": 1, "lam_g": 0}, {"triu_hess_gamma_x_x": ca.Sparsity.upper(n)},
-        lambda x, p, factor, multipliers: [factor / scale * at(x.tobytes()).hessian[upper]],
+        lambda x, p, factor, multipliers: [factor / scale * (at(x.tobytes()).information * np.outer(sd, sd))[upper]],
     )  # fmt: skip
     stop = _Callback("stop", {"x": n, "f": 1, "g": 0, "lam_x": n, "lam_g": 0, "lam_p": 0}, {"stop": scalar}, settled)
     options: dict[str, Any] = {
@@ -301,7 +275,8 @@ def fit_reweighted(
         before, noise = noise, _reestimated(result, noise, evidence)
         problem = LeastSquares.of(model, train, noise)
         if _alike(noise, before, tolerance):
-            result = restated(result, problem)
+            there = Fit.at(problem, result.estimate, loss)
+            result = replace(there, iterations=result.iterations, converged=result.converged, status=result.status)
             break
         result, _ = fit(problem, result.estimate[None], loss)
     return result, noise, against_noise, agree

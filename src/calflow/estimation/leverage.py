@@ -16,7 +16,7 @@ import numpy as np
 import scipy
 
 from calflow.estimation.accuracy import Residual, completed, leading_errors, residuals
-from calflow.estimation.fit import Fit, restated
+from calflow.estimation.fit import Fit
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import Noise
 from calflow.files.deferred import pd
@@ -97,7 +97,8 @@ def judged(result: Fit, data: Measurements, noise: Noise) -> pd.DataFrame:
 
     The fit's covariance may include smooth errors that its problem ignores; it then serves held-out rows (see `Studentised.of`).
     """
-    studentised = Studentised.of(restated(result, result.problem), data, noise, beside=result.covariance)
+    alone = Fit.at(result.problem, result.estimate, result.loss)
+    studentised = Studentised.of(alone, data, noise, beside=result.covariance)
     limit = scipy.special.chdtri(studentised.units, FALSE_FLAGS / len(data))
     return judged_table(result, data, studentised, (studentised.squared > limit) & (data.train | data.held_out))
 

@@ -16,7 +16,7 @@ import numpy as np
 import scipy
 
 from calflow.estimation.calibrated_model import CalibratedModel
-from calflow.estimation.fit import expansion, fit
+from calflow.estimation.fit import Fit, fit
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import averaged
 from calflow.measurements.measurements import Measurements
@@ -116,10 +116,10 @@ class Laplace:
     def of(problem: LeastSquares, estimate: np.ndarray, at_bound: np.ndarray) -> Laplace:
         """Return the approximation of a problem's posterior about its estimate, the noise level from the residuals."""
         prior_sd = problem.model.prior_sd
-        expanded = expansion(problem, estimate / prior_sd, "linear")
+        there = Fit.at(problem, estimate)
         pull = (estimate - problem.model.prior_mean) / prior_sd
-        of_data, free = expanded.hessian - np.eye(len(estimate)), ~at_bound
-        chi2, variance = 2 * expanded.value - pull @ pull, 1.0
+        of_data, free = there.information * np.outer(prior_sd, prior_sd) - np.eye(len(estimate)), ~at_bound
+        chi2, variance = 2 * there.objective - pull @ pull, 1.0
         for _ in range(VARIANCE_PASSES):
             information = of_data / variance + np.eye(len(estimate))
             inverse = np.linalg.inv(information[np.ix_(free, free)])
@@ -128,7 +128,7 @@ class Laplace:
         sd = np.zeros(len(estimate))
         sd[free] = np.sqrt(np.diag(inverse)) * prior_sd[free]
         covariance = np.linalg.inv(information) * np.outer(prior_sd, prior_sd)
-        gradient = ((expanded.gradient - pull) / variance + pull) / prior_sd
+        gradient = ((there.gradient * prior_sd - pull) / variance + pull) / prior_sd
         return Laplace(estimate, estimate - covariance @ gradient, covariance, sd, variance)
 
     def beside_smooth_errors(self, covariance: np.ndarray) -> Laplace:
