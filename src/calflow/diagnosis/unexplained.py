@@ -51,7 +51,6 @@ from calflow.files.words import rounded
 from calflow.measurements.measurements import Measurements
 from calflow.observations import leading_units
 from calflow.robot.mechanism import Deflection, Row, State
-from calflow.robot.parts import Parameter
 
 MOST_PARTS = 3  # unexplained dependences that are reported
 POSE = "pose"  # as an input: changes from pose to pose that no other input explains
@@ -227,12 +226,10 @@ class Since(SmoothFunction):
         """The row of the step, in words."""
         return f"since row {int(np.floor(self.moment)) + 1} in measuring order"
 
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Return the joints' offsets, and the marker's."""
-        units = [joint.unit for joint in self.robot.joints] + ["m"] * 3
-        return tuple(
-            Parameter(self.id, "since", f"offset{k + 1}", unit, SIZE, -1.0, 1.0) for k, unit in enumerate(units)
-        )
+    @property
+    def units(self) -> Sequence[str]:
+        """Those of the joints' offsets, and of the marker's."""
+        return [joint.unit for joint in self.robot.joints] + 3 * ["m"]
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
         """Return the deflection of the joints, and a shift of the flange with its load."""

@@ -65,13 +65,18 @@ class SmoothFunction(Effect):
 
     @property
     def n_amplitudes(self) -> int:
-        """Number of its amplitudes."""
+        """Number of its amplitudes, all of one unit."""
         raise NotImplementedError
+
+    @property
+    def units(self) -> Sequence[str]:
+        """Units of its amplitudes."""
+        return [self.amplitude[0]] * self.n_amplitudes
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the amplitudes, numbered."""
-        kind, (unit, sd) = type(self).__name__, self.amplitude
-        return tuple(Parameter(self.id, kind, str(k + 1), unit, sd, -1.0, 1.0) for k in range(self.n_amplitudes))
+        kind, sd = type(self).__name__, self.amplitude[1]
+        return tuple(Parameter(self.id, kind, str(k + 1), unit, sd, -1.0, 1.0) for k, unit in enumerate(self.units))
 
 
 @dataclass(frozen=True)
@@ -119,12 +124,6 @@ class JointField(JointError, OfJoints):
         """Return the waves."""
         waves = ca.vertsplit(self.waves(state.q)) if joint in self._erring else []
         return [Term(f"wave{k + 1}", self.unit(joint), SIZE, 1.0, value) for k, value in enumerate(waves)]
-
-    def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
-        """Return the deflection of the joints by these waves."""
-        waves, turned = self.waves(state.q), ca.SX(self.robot.n_joints, 1)
-        turned[list(self._erring)] = ca.reshape(p, waves.numel(), len(self._erring)).T @ waves
-        return replace(still, joint=turned)
 
     @property
     def _erring(self) -> Sequence[int]:
@@ -264,12 +263,10 @@ class UnderPayload(SmoothFunction):
         """The payload in words."""
         return f"under {self.payload}"
 
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Return offset and wave of each joint, and the shifts of marker and device."""
-        symbols = [(f"{term}{i + 1}", joint.unit) for i, joint in enumerate(self.robot.joints)
-                   for term in ("offset", "cos", "sin")]  # fmt: skip
-        symbols += [(f"{whose}{axis}", "m") for whose in ("marker", "device") for axis in "xyz"]
-        return tuple(Parameter(self.id, "payload", symbol, unit, SIZE, -1.0, 1.0) for symbol, unit in symbols)
+    @property
+    def units(self) -> Sequence[str]:
+        """Those of each joint's offset and wave, and of the shifts of marker and device."""
+        return [joint.unit for joint in self.robot.joints for _ in range(3)] + 6 * ["m"]
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
         """Return the deflection of the joints, and a shift of the flange with its load."""
