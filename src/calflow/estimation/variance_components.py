@@ -168,15 +168,15 @@ class VarianceComponents:
         variance = np.zeros(self.n_parts)
         left_out = np.zeros(self.n_parts, dtype=bool) if without is None else without
         untried = {k for k in range(self.n_parts) if not left_out[k]}
-        cost, scores = self.cost(variance), self._part_scores(variance, untried)
+        cost, steps = self.cost(variance), self._scoring_steps(variance, untried)
         # Each part is tried once: similar parts would alternate for ever.
-        while untried and scores[best := max(untried, key=lambda k: scores[k].beyond)].beyond >= PROMISING:
+        while untried and steps[best := max(untried, key=lambda k: steps[k])][0] >= PROMISING:
             untried.remove(best)
             larger = variance.copy()
-            larger[best] = scores[best].growth
+            larger[best] = steps[best][1]
             larger = self.most_likely(larger)
             if cost - (less := self.cost(larger)) >= ACCEPTED_GAIN:
-                variance, cost, scores = larger, less, self._part_scores(larger, untried)
+                variance, cost, steps = larger, less, self._scoring_steps(larger, untried)
         for k in np.flatnonzero(variance > 0):
             fewer = np.where(np.arange(len(variance)) == k, 0.0, variance)
             if self.cost(fewer) - cost < ACCEPTED_GAIN:
@@ -201,10 +201,31 @@ class VarianceComponents:
 
     def probabilities(self, variance: np.ndarray) -> np.ndarray:
         """Return the posterior probabilities (n_parts, n_sizes) of each part's SIZES over USUAL's; the rest is that of none."""
-        parts = self._part_scores(variance, range(self.n_parts))
+        parts = self._beside(variance, range(self.n_parts))
         for k in map(int, np.flatnonzero(variance > 0)):
-            parts |= self._part_scores(np.where(np.arange(self.n_parts) == k, 0.0, variance), [k])
-        return np.array([parts[k].probabilities for k in range(self.n_parts)]).reshape(self.n_parts, len(SIZES))
+            parts |= self._beside(np.where(np.arange(self.n_parts) == k, 0.0, variance), [k])
+        return np.array([self._of_sizes(*parts[k]) for k in range(self.n_parts)]).reshape(self.n_parts, len(SIZES))
+
+    def _of_sizes(self, gram: np.ndarray, score: np.ndarray, chi2: float) -> np.ndarray:
+        """Return the probabilities (n_sizes,) of a part's sizes, from what `_beside` returns."""
+        fallen, narrowed = explained(*directions(USUAL * gram, np.sqrt(USUAL) * score))
+        cost = self.cost_of_noise(chi2 - fallen) + narrowed
+        likelier = np.clip((self.cost_of_noise(chi2) - cost) / 2, -700, 300)  # than none
+        weight = PRIOR * np.exp(likelier) / self.n_parts
+        return np.asarray(weight / (1 + weight.sum()))
+
+    def _scoring_steps(self, variance: np.ndarray, parts: Iterable[int]) -> dict[int, tuple[float, float]]:
+        """Return the scoring step of some parts' variances from zero, over its standard deviation and as it is.
+
+        It is observed less expected squares and the prior's slope, over twice the Fisher information on the variance.
+        """
+        steps = {}
+        for k, (gram, score, chi2) in self._beside(variance, parts).items():
+            information = float(max(np.vdot(gram, gram), ROUNDING))
+            seen = float(score @ score / self.level_of(chi2))
+            step = (seen - float(np.trace(gram)) - 1 / USUAL) / information
+            steps[k] = step * float(np.sqrt(information / 2)), step
+        return steps
 
     def degrees_of_freedom(self, variance: np.ndarray) -> np.ndarray:
         """Return the degrees of freedom of each part's variance, shape (n_parts,), as of a mean of squares of normals."""
@@ -218,17 +239,17 @@ class VarianceComponents:
         """Return the sums by part (n_parts,) of values (n,) of the functions with indices here."""
         return np.bincount(self.part[here], values, self.n_parts)
 
-    def _part_scores(self, variance: np.ndarray, parts: Iterable[int]) -> dict[int, _PartScore]:
-        """Return Gram matrix and score of each of some parts beside functions of these variances (n_parts,)."""
-        posterior, scores = self.posterior(variance), dict[int, _PartScore]()
+    def _beside(self, variance: np.ndarray, parts: Iterable[int]) -> dict[int, tuple[np.ndarray, np.ndarray, float]]:
+        """Return Gram matrix (n, n), score (n,), and chi² without it, of parts beside functions of these variances (n_parts,)."""
+        posterior, beside = self.posterior(variance), {}
         for k in parts:
             i = np.flatnonzero(self.part == k)
             taken = scipy.linalg.solve_triangular(
                 posterior.factor, posterior.size[:, None] * self.gram[np.ix_(posterior.here, i)], lower=True
             )
             gram, score = self.gram[np.ix_(i, i)] - taken.T @ taken, self.score[i] - taken.T @ posterior.along
-            scores[k] = _PartScore(gram, score, posterior.chi2, self)
-        return scores
+            beside[k] = gram, score, posterior.chi2
+        return beside
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,41 +294,6 @@ def _factor(positive: np.ndarray) -> np.ndarray:
         value, axes = np.linalg.eigh(positive)
         factor = np.linalg.cholesky((axes * np.maximum(value, 1.0)) @ axes.T)
     return np.asarray(factor)
-
-
-@dataclass(frozen=True, eq=False)
-class _PartScore:
-    """A part's Gram matrix (n, n) and score (n,), beside the model and the other parts, and chi² without the part."""
-
-    gram: np.ndarray
-    score: np.ndarray
-    chi2: float
-    of: VarianceComponents
-
-    @property
-    def _information(self) -> float:
-        """Twice the Fisher information on the variance, at zero."""
-        return float(max(np.vdot(self.gram, self.gram), ROUNDING))
-
-    @cached_property
-    def growth(self) -> float:
-        """Scoring step of its variance from zero: observed less expected squares and the prior's slope, over the information."""
-        seen = float(self.score @ self.score / self.of.level_of(self.chi2))
-        return (seen - float(np.trace(self.gram)) - 1 / USUAL) / self._information
-
-    @cached_property
-    def beyond(self) -> float:
-        """The scoring step over its standard deviation."""
-        return self.growth / float(np.sqrt(2 / self._information))
-
-    @property
-    def probabilities(self) -> np.ndarray:
-        """Posterior probabilities of SIZES of its functions, over USUAL's, (n_sizes,); the rest is that of none."""
-        fallen, narrowed = explained(*directions(USUAL * self.gram, np.sqrt(USUAL) * self.score))
-        cost = self.of.cost_of_noise(self.chi2 - fallen) + narrowed
-        likelier = np.clip((self.of.cost_of_noise(self.chi2) - cost) / 2, -700, 300)  # than none
-        weight = PRIOR * np.exp(likelier) / self.of.n_parts
-        return np.asarray(weight / (1 + weight.sum()))
 
 
 def directions(information: np.ndarray, score: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
