@@ -68,7 +68,7 @@ def test_a_curve_in_time_is_not_asked_for_times_that_were_left_out():
     curve = cause("frame-drift", "device", length=0.15, end=float(before.data.table["time"].max()))
     known = before.with_causes([curve])
     row, (in_joints,) = np.arange(len(known.data)), pose_blocks(known)
-    in_time = (8 * row // len(row))[known.problem.stacking.row]
+    in_time = (8 * row // len(row))[known.problem.row]
     beside = with_background(known, BackgroundBasis.of(known))
     told = carried_over(known, curve, beside, [in_joints, in_time])
     assert told.holds

@@ -132,7 +132,7 @@ def fields(fitted: Fitted) -> list[SmoothFunction]:
     variance, and true causes were rejected for it. Its correlation lengths maximise the marginal likelihood, with the model's
     parameters integrated out.
     """
-    robot, row = fitted.data.robot, fitted.problem.stacking.row
+    robot, row = fitted.data.robot, fitted.problem.row
     first, pose = np.unique(fitted.poses, return_index=True, return_inverse=True)[1:]
     some = np.unique(np.linspace(0, len(first) - 1, NODES).astype(int))
     # Infinite lengths make a constant shift along each axis: the cosine of zero, while the sine vanishes.
@@ -168,7 +168,7 @@ def uneven_causes(fitted: Fitted, alone: Cause | None = None) -> list[np.ndarray
     A part's usual variance makes them a share of the cause's size; those of the cause alone, which replace it, are as large as it.
     Empty for more than FEW_POSES.
     """
-    poses, pose = np.unique(fitted.poses[fitted.problem.stacking.row], return_inverse=True)
+    poses, pose = np.unique(fitted.poses[fitted.problem.row], return_inverse=True)
     if len(poses) > FEW_POSES:
         return []
     regressors, unevenly = fitted.alone, []

@@ -228,7 +228,7 @@ def pose_blocks(fitted: Fitted) -> list[np.ndarray]:
     if "order" in data.given:
         rank = np.argsort(np.argsort(data.table["order"].to_numpy(float)[first]))
         kinds.append((rank * 2**levels // len(first))[number])
-    return [kind[fitted.problem.stacking.row] for kind in kinds]
+    return [kind[fitted.problem.row] for kind in kinds]
 
 
 def with_background(fitted: Fitted, basis: BackgroundBasis) -> Regressors[Cause]:

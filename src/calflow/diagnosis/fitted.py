@@ -81,7 +81,7 @@ class Fitted:
     def scale(self) -> float:
         """Geometric mean of the standard deviations by which independent residuals are divided, without outliers' factors."""
         problem = self._problem
-        alike = np.log(problem.total / np.broadcast_to(self.outlier_factor, len(self.data))[problem.stacking.row])
+        alike = np.log(problem.total / np.broadcast_to(self.outlier_factor, len(self.data))[problem.row])
         return float(np.exp(alike.mean() + problem.log_determinant / (2 * problem.size)))
 
     @cached_property
@@ -260,6 +260,6 @@ def _excess(fit: Fit, outlier_factor: np.ndarray) -> np.ndarray:
     Their scale is that of all rows so weighted, Huber's proposal 2: the noise and discrepancy of the fit. A median would be smaller
     where a smooth error is left, and its peaks would count as outliers.
     """
-    leading = fit.stacking.leading
-    size = np.sqrt(fit.stacking.by_row(np.where(leading, fit.residual**2, 0.0))) * outlier_factor
+    squared = np.where(fit.problem.leading, fit.residual**2, 0.0)
+    size = np.sqrt(np.bincount(fit.problem.row, squared, fit.problem.n_rows)) * outlier_factor
     return np.asarray(np.maximum(1.0, size / HUBER))

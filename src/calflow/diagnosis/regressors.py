@@ -331,7 +331,7 @@ class Regressors(Generic[H]):
         precision = model.prior_sd**-2.0
         scale = max(1.0, problem.scatter / USUAL)
         rows = np.arange(problem.n_rows) if poses is None else poses
-        residuals_a_pose = np.bincount(rows[problem.stacking.row])
+        residuals_a_pose = np.bincount(rows[problem.row])
         matrix = TallMatrix.remade(tall.compiled(PASSES), correlation) if tall else TallMatrix.held(slopes[:, n:])
         return Regressors(
             left,

@@ -304,18 +304,18 @@ class Standstills:
     def of(fitted: Fitted, basis: BackgroundBasis) -> Standstills:
         """Return the variance components beside a fitted model; a subset of very many poses."""
         apart, n = replace(fitted, background=None, shared=0.0), fitted.data.robot.n_joints
-        stacking, weight = apart.problem.stacking, apart.problem.weight
+        problem, weight = apart.problem, apart.problem.weight
         whole = apart.regressors([JointField(fitted.data.robot, orders=0)])
         numbers = np.unique(fitted.poses)
-        rows = np.flatnonzero(np.isin(fitted.poses, numbers[:: -(-len(numbers) // MOST_POSES)])[stacking.row])
-        pose = np.unique(fitted.poses[stacking.row[rows]], return_inverse=True)[1]
-        ways, leading = whole.matrix.times(np.eye(n))[rows], stacking.leading[rows, None]
-        shifts = leading * (stacking.place[rows, None] == np.arange(3)) * weight[rows, None]
+        rows = np.flatnonzero(np.isin(fitted.poses, numbers[:: -(-len(numbers) // MOST_POSES)])[problem.row])
+        pose = np.unique(fitted.poses[problem.row[rows]], return_inverse=True)[1]
+        ways, leading = whole.matrix.times(np.eye(n))[rows], problem.leading[rows, None]
+        shifts = leading * (problem.place[rows, None] == np.arange(3)) * weight[rows, None]
         functions = [each_pose(SIZE * USUAL**-0.5 * moved, pose) for moved in (*np.split(ways, n, axis=1), shifts)]
         unevenly = [part[rows] for part in uneven_causes(fitted)]
         some = replace(whole, residual=whole.residual[rows], jacobian=whole.jacobian[rows], added_up=None)
         squared = (leading * ways / weight[rows, None]) ** 2
-        reach = np.sqrt(squared.sum(axis=0) / len(np.unique(stacking.row[rows])))
+        reach = np.sqrt(squared.sum(axis=0) / len(np.unique(problem.row[rows])))
         modes = basis.weighed(apart.problem)[rows]
         components = components_beside(some, modes, basis.parts, [*unevenly, *functions])[1]
         return Standstills(apart, components, np.array(functions[:n]), reach)

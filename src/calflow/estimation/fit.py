@@ -16,7 +16,7 @@ import numpy as np
 
 from calflow.estimation.accuracy import observing
 from calflow.estimation.lack_of_fit import Evidence, LackOfFit, lack_of_fit
-from calflow.estimation.least_squares import LeastSquares, Loss, Stacking, rho, rho_slope
+from calflow.estimation.least_squares import LeastSquares, Loss, rho, rho_slope
 from calflow.estimation.noise import LEAST_SCATTER, Noise, averaged, representative
 from calflow.files.units import RADIAN
 from calflow.measurements.measurements import Measurements
@@ -89,11 +89,6 @@ class Fit:
     def model(self) -> Model:
         """The fitted model."""
         return self.problem.model
-
-    @property
-    def stacking(self) -> Stacking:
-        """The row, component and unit of each residual."""
-        return self.problem.stacking
 
     @cached_property
     def r_factor(self) -> np.ndarray:
@@ -269,8 +264,9 @@ def fit_reweighted(
     if not some.all():
         result, _ = fit(LeastSquares.of(model, train, noise), result.estimate[None], loss)
     evidence = Evidence.of(train, noise)
-    known = result.stacking.of_row(~noise.estimated) & result.stacking.leading
-    against_noise = _lack(result, known if known.any() else result.stacking.leading, evidence)
+    leading = result.problem.leading
+    known = ~noise.estimated[result.problem.row] & leading
+    against_noise = _lack(result, known if known.any() else leading, evidence)
     for _ in range(NOISE_PASSES):
         before, noise = noise, _reestimated(result, noise, evidence)
         problem = LeastSquares.of(model, train, noise)
@@ -284,15 +280,15 @@ def fit_reweighted(
 
 def _reestimated(result: Fit, noise: Noise, evidence: Evidence) -> Noise:
     """Return the noise re-estimated from the fit's residuals: sigma where it is unknown, the discrepancy elsewhere."""
-    stacking, sigma = result.stacking, noise.sigma.copy()
+    problem, sigma = result.problem, noise.sigma.copy()
     for k, source in enumerate(noise.sources):
         rows = noise.of_series(k)
         if source == "estimated" and rows.any():
-            lack = _lack(result, stacking.of_row(rows) & stacking.leading, evidence)
+            lack = _lack(result, rows[problem.row] & problem.leading, evidence)
             sigma[rows] = np.maximum(sigma[rows] * np.sqrt(lack.reduced_chi2), (LEAST_SCATTER * noise.usual)[rows])
     discrepancy = noise.discrepancy
-    for unit in result.problem.units:
-        stated = stacking.in_unit(unit) & (stacking.of_row(~noise.estimated) | ~stacking.leading)
+    for unit in problem.units:
+        stated = problem.in_unit(unit) & (~noise.estimated[problem.row] | ~problem.leading)
         if stated.any():
             # Repeats determine the noise of the leading unit alone.
             here = evidence.only_where(noise.in_unit(unit))
@@ -303,7 +299,7 @@ def _reestimated(result: Fit, noise: Noise, evidence: Evidence) -> Noise:
 def _lack(result: Fit, which: np.ndarray, evidence: Evidence) -> LackOfFit:
     """Return the lack of fit of a subset of the residuals, charged with its share of the effective parameters."""
     error = (result.residual * result.problem.total)[which]
-    sigma, rows = result.problem.sigma[which], result.stacking.row[which]
+    sigma, rows = result.problem.sigma[which], result.problem.row[which]
     determined = result.effective_parameters * np.count_nonzero(which) / len(which)
     return lack_of_fit(error, sigma, determined, rows, evidence, trimmed=result.loss != "linear")
 

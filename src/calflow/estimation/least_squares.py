@@ -7,7 +7,7 @@ have, axis by axis, the covariance (1 - r) I + r 1 1ᵀ (compound symmetry), r b
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
@@ -29,33 +29,6 @@ FINEST = 0.1
 
 
 Loss = Literal["linear", "soft_l1", "cauchy"]
-
-
-@dataclass(frozen=True, eq=False)
-class Stacking:
-    """Index of the stacked residuals, each attribute (n,): row, place among the row's residuals, and unit.
-
-    kind is the index of the unit in units (see `LeastSquares.units`); leading marks residuals in their observation's first unit.
-    """
-
-    row: np.ndarray
-    place: np.ndarray
-    kind: np.ndarray
-    leading: np.ndarray
-    units: tuple[MeasurementUnit, ...]
-    n_rows: int
-
-    def in_unit(self, unit: MeasurementUnit) -> np.ndarray:
-        """Mask of the residuals in a unit, shape (n,)."""
-        return np.asarray(self.kind == self.units.index(unit))
-
-    def by_row(self, values: np.ndarray) -> np.ndarray:
-        """Return the sum over each row of values (n,), shape (n_rows,)."""
-        return np.bincount(self.row, weights=values, minlength=self.n_rows)
-
-    def of_row(self, values: np.ndarray) -> np.ndarray:
-        """Return the values (n_rows,) of the rows, repeated for each of their residuals, shape (n,)."""
-        return np.asarray(values[self.row])
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,31 +213,44 @@ class LeastSquares:
         """Number of residuals."""
         return sum(block.n_units * len(block.rows) for block in self.blocks)
 
+    def _stacked(self, values: Callable[[SeriesBlock], np.ndarray | Sequence[float]]) -> np.ndarray:
+        """Return values of all residuals, given those of a block or of one of its rows, (n_rows, n_units) or (n_units,)."""
+        shapes = ((block, (len(block.rows), block.n_units)) for block in self.blocks)
+        return np.concatenate([np.broadcast_to(values(block), shape).ravel() for block, shape in shapes])
+
     @cached_property
-    def stacking(self) -> Stacking:
-        """The row, place and unit of each stacked residual."""
-        row = [np.repeat(block.rows, block.n_units) for block in self.blocks]
-        units = [np.array([self.units.index(unit) for unit in block.observation.units]) for block in self.blocks]
-        repeated = [(len(block.rows), kinds) for block, kinds in zip(self.blocks, units, strict=True)]
-        place = np.concatenate([np.tile(np.arange(len(kinds)), n) for n, kinds in repeated])
-        kind = np.concatenate([np.tile(kinds, n) for n, kinds in repeated])
-        leading = np.concatenate([np.tile(kinds == kinds[0], n) for n, kinds in repeated])
-        return Stacking(np.concatenate(row), place, kind, leading, self.units, self.n_rows)
+    def row(self) -> np.ndarray:
+        """The row of each stacked residual, shape (n,)."""
+        return self._stacked(lambda block: block.rows[:, None])
+
+    @cached_property
+    def place(self) -> np.ndarray:
+        """The place of each stacked residual among those of its row, shape (n,)."""
+        return self._stacked(lambda block: np.arange(block.n_units))
+
+    @cached_property
+    def leading(self) -> np.ndarray:
+        """Mask of the stacked residuals in their observation's first unit, shape (n,)."""
+        return self._stacked(lambda block: [unit == block.leading for unit in block.observation.units])
+
+    def in_unit(self, unit: MeasurementUnit) -> np.ndarray:
+        """Mask of the stacked residuals in a unit, shape (n,)."""
+        return self._stacked(lambda block: [other == unit for other in block.observation.units])
 
     @cached_property
     def sigma(self) -> np.ndarray:
         """The device's noise of each stacked residual, shape (n,) [its unit]."""
-        return np.concatenate([block.sigma.T.ravel() for block in self.blocks])
+        return self._stacked(lambda block: block.sigma.T)
 
     @cached_property
     def total(self) -> np.ndarray:
         """Root sum of squares of sigma and the model's discrepancy, shape (n,) [its unit]."""
-        return np.concatenate([block.total.T.ravel() for block in self.blocks])
+        return self._stacked(lambda block: block.total.T)
 
     @cached_property
     def weight(self) -> np.ndarray:
         """Factor that whitens each stacked residual, robust weights included, shape (n,)."""
-        return np.concatenate([block.weight.T.ravel() for block in self.blocks])
+        return self._stacked(lambda block: block.weight.T)
 
     @cached_property
     def scatter(self) -> float:
@@ -280,15 +266,10 @@ class LeastSquares:
         return float(np.median(np.concatenate(lengths))) if lengths else 0.0
 
     @property
-    def excess(self) -> float:
-        """Squared ratio by which the noise falls below FINEST, the limit set by round-off; 1 where it does not."""
-        relative = np.median(np.concatenate([block.spread / block.leading.usual for block in self.blocks]))
-        return max(1.0, FINEST / float(relative)) ** 2
-
-    @property
     def scale(self) -> float:
-        """Divisor of the objective, so that the same tolerance serves all data."""
-        return self.n_rows * self.excess
+        """Divisor of the objective, so that the same tolerance serves all data: number of rows, more where noise is below FINEST."""
+        relative = np.median(np.concatenate([block.spread / block.leading.usual for block in self.blocks]))
+        return self.n_rows * max(1.0, FINEST / float(relative)) ** 2
 
     def parts(self) -> Iterator[SeriesBlock]:
         """Yield the rows of all series, part by part (see `SeriesBlock.parts`)."""
