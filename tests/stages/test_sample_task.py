@@ -22,13 +22,13 @@ turn_tolerance_mrad = 1.0
 
 @pytest.fixture(scope="module")
 def run(_measured, tmp_path_factory):
-    """A finished run of the small study with a path of twelve points under two loads, and its folder."""
+    """A finished run of the small study with a path of twelve numbered points under two loads, and its folder."""
     import shutil
 
     folder = type(_measured)(tmp_path_factory.mktemp("task") / "small")
     shutil.copytree(_measured.path, folder.path)
     turn = np.linspace(-60, 60, 12)
-    rows = {"pose": [f"P{k}" for k in range(12)], "q1_deg": turn, "q2_deg": -30 + 0.2 * turn, "q3_deg": 60 - 0.3 * turn}
+    rows = {"pose": range(12), "q1_deg": turn, "q2_deg": -30 + 0.2 * turn, "q3_deg": 60 - 0.3 * turn}
     folder.measure(pd.DataFrame(rows).assign(payload="light"), "task.csv")
     folder.edit("study.toml", ("[stages.select]", f"{TASK}\n[stages.select]"))
     folder.edit(
@@ -46,7 +46,7 @@ def run(_measured, tmp_path_factory):
 def test_every_point_is_told_under_every_load(run):
     """Fails if a pose or a load is lost, an error grows where the tool stays, or the columns contradict each other."""
     table = pd.read_csv(run / "runs/sample/task.csv")
-    assert list(table["point"]) == [f"P{k}" for k in range(12)] * 2
+    assert list(table["point"]) == [*range(12)] * 2
     assert list(table["payload"]) == ["heavy"] * 12 + ["light"] * 12
     assert (table["expected_mm"] < table["radius95_mm"]).all()
     sd = np.sqrt((table[["sd_x_mm", "sd_y_mm", "sd_z_mm"]] ** 2).sum(axis=1))

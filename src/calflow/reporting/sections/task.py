@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calflow.files.deferred import pd
 from calflow.files.words import mm
 from calflow.reporting.advice import strange
 from calflow.reporting.blocks import Block, Paragraph, Plot, Table, listing
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
-from calflow.reporting.style import ALONE, figure, shade, shades, view
-from calflow.sampling.task_points import LIKELY, TaskSummary
+from calflow.reporting.style import ALONE, panels, shade, shades, view
+from calflow.sampling.task_points import LIKELY, TaskPoint, TaskSummary
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -24,6 +22,12 @@ ALMOST_CERTAIN = 0.999  # probability above which no further digits are stated
 VIEWS = (((0, 1), "from above"), ((0, 2), "from the side"), ((1, 2), "from the front"))
 MAPS = 3  # payloads with a row of maps, those with the largest radius
 WORST_POINTS = 5  # points in the table
+SIZES = {  # of a point, by its field
+    "nominal_mm": "error of the nominal robot",
+    "expected_mm": "expected error of the calibrated one",
+    "radius95_mm": "95 % limit of the error",
+    "turn95_mrad": "95 % limit of the orientation error",
+}
 WORST_HEADER = ("least certain points", "payload", "nominal [mm]", "95 % [mm]", "95 % [mrad]", "within")
 PATH = "95 % limits of the errors along the path."
 MAP = "Radius that contains the tool with 95 % probability; of points behind each other the largest."
@@ -74,106 +78,95 @@ def _chance(probability: float) -> str:
     return f"{100 * probability:.0f} %" if 0.01 < probability < 0.99 else f"{100 * probability:.1f} %"
 
 
-def task_map(place: np.ndarray, radius: np.ndarray, groups: Sequence[tuple[str, np.ndarray]]) -> Figure:
-    """Draw the radius (n_points,) [mm] over places (n_points, 3) [m] from three sides; the darker, the larger.
+Groups = Mapping[str, Sequence[TaskPoint]]  # points by payload, in words
 
-    groups: payloads and masks (n_points,) of their points, a row of maps each. Many points are reduced to cells, each of which
-    shows the largest radius in it.
+
+def task_map(groups: Groups) -> Figure:
+    """Draw each point's radius at its place from three sides, a row of maps for each payload; the darker, the larger.
+
+    Many points are reduced to cells, each of which shows the largest radius in it.
     """
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
-    dark = shades(0.1)
-    norm = Normalize(radius.min(), radius.max() if np.ptp(radius) > 0 else radius.min() + 1e-6)
-    drawn = figure(2.1 * len(groups) + 0.3)
-    grid = drawn.subplots(len(groups), len(VIEWS), squeeze=False)
-    for line, (name, rows) in zip(grid, groups, strict=True):
+    dark, every = shades(0.1), [point.radius95_mm for points in groups.values() for point in points]
+    norm = Normalize(min(every), max(*every, min(every) + 1e-6))
+    drawn, grid = panels(len(groups), len(VIEWS), 2.1 * len(groups) + 0.3)
+    for line, (name, points) in zip(grid, groups.items(), strict=True):
+        place = np.array([(point.x_mm, point.y_mm, point.z_mm) for point in points]) / 1e3
+        radius = np.array([point.radius95_mm for point in points])
         for axes, ((i, j), title) in zip(line, VIEWS, strict=True):
-            shade(axes, place[rows][:, [i, j]], radius[rows], dark, norm, np.max)
+            shade(axes, place[:, [i, j]], radius, dark, norm, np.max)
             view(axes, i, j, f"{name}, {title}" if name else title)
     drawn.colorbar(ScalarMappable(norm, dark), ax=grid, shrink=0.8, aspect=30, label="95 % radius [mm]")
     return drawn
 
 
-@dataclass(frozen=True, eq=False)
-class Course:
-    """A quantity along a path (n_points,), its axis label, and the tolerance in the same unit, None where there is none."""
-
-    words: str
-    limit: np.ndarray
-    tolerance: float | None
-
-
-def path_figure(courses: Sequence[Course], groups: Sequence[tuple[str, np.ndarray]]) -> Figure:
-    """Draw quantities along a path, below each other; groups as for `task_map`, a line each."""
-    drawn = figure(1.9 * len(courses) + 0.2)
-    grid = drawn.subplots(len(courses), 1, squeeze=False, sharex=True)[:, 0]
-    for axes, course in zip(grid, courses, strict=True):
-        for (name, rows), (colour, dashes, _) in zip(groups, ALONE, strict=False):
-            number = np.arange(1, int(rows.sum()) + 1)
-            axes.plot(number, course.limit[rows], color=colour, linestyle=dashes, label=name or "95 %")
-        if course.tolerance is not None:
-            axes.axhline(course.tolerance, color="#000000", linewidth=1.8, linestyle=(0, (1, 1)), label="tolerance")
-        axes.set(ylabel=course.words, ylim=(0, None))
-    grid[-1].set_xlabel("point of the path")
-    drawn.legend(*grid[0].get_legend_handles_labels(), loc="outside upper left", ncols=4)
+def path_figure(groups: Groups, task: TaskSummary) -> Figure:
+    """Draw the limits of position and orientation along a path, with their tolerances, a line for each payload."""
+    drawn, grid = panels(2, 1, 4.0, sharex=True)
+    limits = (("position", "radius95_mm", task.tolerance_mm), ("orientation", "turn95_mrad", task.turn_tolerance_mrad))
+    for axes, (what, limit, tolerance) in zip(grid[:, 0], limits, strict=True):
+        for (name, points), (colour, dashes, _) in zip(groups.items(), ALONE, strict=False):
+            number, values = range(1, len(points) + 1), [getattr(point, limit) for point in points]
+            axes.plot(number, values, color=colour, linestyle=dashes, label=name or "95 %")
+        if tolerance is not None:
+            axes.axhline(tolerance, color="#000000", linewidth=1.8, linestyle=(0, (1, 1)), label="tolerance")
+        axes.set(ylabel=f"{what} [{_unit(limit)}]", ylim=(0, None))
+    grid[-1, 0].set_xlabel("point of the path")
+    drawn.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside upper left", ncols=4)
     return drawn
+
+
+def _unit(field: str) -> str:
+    """Return the unit with which the name of a field ends."""
+    return field.rpartition("_")[2]
 
 
 def _task(material: Material) -> list[Block]:
     """State whether the tolerances are met, and tabulate and draw the errors over the task."""
     if (task := material.task) is None:
         return []
-    table = material.tables["sample/task.csv"]
-    words = answer(task)
+    path = "sample/task.csv"
+    points, words = material.results.rows(path, TaskPoint), answer(task)
+    groups, data = by_payload(points), material.tables[path]
     return [
         Paragraph(INTRODUCTION, keep=True),
         *([Paragraph(words, bold=True)] if words else []),
-        Table(("over the task", "typical", "largest"), _sizes(table), "lrr"),
-        *_pictures(task, table),
-        Table(WORST_HEADER, _worst(task, table), "llrrrr"),
+        Table(("over the task", "typical", "largest"), _sizes(points), "lrr"),
+        Plot("task_map", task_map(groups), MAP, data),
+        *([Plot("task_path", path_figure(groups, task), PATH, data)] if task.in_order else []),
+        Table(WORST_HEADER, _worst(points, words is not None), "llrrrr"),
         *([Paragraph(TOGETHER)] if words else []),
         *listing(task.notes),
     ]
 
 
-def _sizes(table: pd.DataFrame) -> list[tuple[str, str, str]]:
-    def row(words: str, name: str, unit: str) -> tuple[str, str, str]:
-        values = table[name].to_numpy(dtype=float)
-        return words, f"{mm(float(np.median(values)))} {unit}", f"{mm(float(values.max()))} {unit}"
+def by_payload(points: Sequence[TaskPoint]) -> Groups:
+    """Return the points under each of the payloads with the largest radii, in descending order of these."""
+    groups: dict[str, list[TaskPoint]] = {}
+    for point in sorted(points, key=lambda point: -point.radius95_mm):
+        groups.setdefault(point.payload, [])
+    for point in points:
+        groups[point.payload].append(point)
+    alone = "" if len(groups) == 1 else "no payload"
+    return {payload or alone: groups[payload] for payload in list(groups)[:MAPS]}
 
+
+def _sizes(points: Sequence[TaskPoint]) -> list[tuple[str, ...]]:
+    values = {name: [getattr(point, name) for point in points] for name in SIZES}
     return [
-        row("error of the nominal robot", "nominal_mm", "mm"),
-        row("expected error of the calibrated one", "expected_mm", "mm"),
-        row("95 % limit of the error", "radius95_mm", "mm"),
-        row("95 % limit of the orientation error", "turn95_mrad", "mrad"),
+        (words, *(f"{mm(float(of(values[name])))} {_unit(name)}" for of in (np.median, np.max)))
+        for name, words in SIZES.items()
     ]
 
 
-def _pictures(task: TaskSummary, table: pd.DataFrame) -> list[Block]:
-    place = table[["x_mm", "y_mm", "z_mm"]].to_numpy(dtype=float) / 1e3
-    radius = table["radius95_mm"].to_numpy(dtype=float)
-    payload = table["payload"].fillna("").astype(str).to_numpy()
-    carried = sorted(set(payload), key=lambda name: -radius[payload == name].max())[:MAPS]
-    groups = [(name or ("no payload" if len(carried) > 1 else ""), payload == name) for name in carried]
-    blocks: list[Block] = [Plot("task_map", task_map(place, radius, groups), MAP, table)]
-    if task.in_order:
-        parts = [
-            Course("position [mm]", table["radius95_mm"].to_numpy(dtype=float), task.tolerance_mm),
-            Course("orientation [mrad]", table["turn95_mrad"].to_numpy(dtype=float), task.turn_tolerance_mrad),
-        ]
-        blocks.append(Plot("task_path", path_figure(parts, groups), PATH, table))
-    return blocks
-
-
-def _worst(task: TaskSummary, table: pd.DataFrame) -> list[tuple[str, ...]]:
-    by, upwards = ("within", True) if task.likely_points is not None else ("radius95_mm", False)
-    filled = table.fillna({"payload": ""})
-    rows = filled.sort_values([by, "radius95_mm"], ascending=[upwards, False], kind="stable").head(WORST_POINTS)
+def _worst(points: Sequence[TaskPoint], asked: bool) -> list[tuple[str, ...]]:
+    rows = sorted(points, key=lambda point: (point.within if asked else 0.0, -point.radius95_mm))
     return [
-        (row["point"], row["payload"] or "none", mm(row["nominal_mm"]), mm(row["radius95_mm"]), mm(row["turn95_mrad"]),
-         _chance(row["within"]) if task.likely_points is not None else "not asked")
-        for row in rows.to_dict("records")
+        (row.point, row.payload or "none", mm(row.nominal_mm), mm(row.radius95_mm), mm(row.turn95_mrad),
+         _chance(row.within) if asked else "not asked")
+        for row in rows[:WORST_POINTS]
     ]  # fmt: skip
 
 
