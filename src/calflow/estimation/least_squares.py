@@ -267,7 +267,7 @@ class LeastSquares:
 
     @property
     def scale(self) -> float:
-        """Divisor of the objective, so that the same tolerance serves all data: number of rows, more where noise is below FINEST."""
+        """Divisor of the objective, so that the same tolerance serves all data: number of rows, more with noise below FINEST."""
         relative = np.median(np.concatenate([block.spread / block.leading.usual for block in self.blocks]))
         return self.n_rows * max(1.0, FINEST / float(relative)) ** 2
 
