@@ -59,7 +59,8 @@ def test_its_standard_deviations_are_those_of_the_covariance(finished, asked):
     )
     moved = known.errors.moved(known.model, known.estimate, data.conditions)
     both = np.concatenate([jacobian, moved], axis=2) @ known.errors.root(known.errors.about_mean(covariance))
-    variance = known.errors.rest**2 + (both**2).sum(axis=2)
+    alone = moved @ known.errors.spread
+    variance = known.errors.rest**2 + (both**2).sum(axis=2) + (alone**2).sum(axis=2)
     np.testing.assert_allclose(predicted[SD], 1e3 * np.sqrt(variance), rtol=1e-4)
 
 

@@ -127,12 +127,13 @@ def promised_in_space(calibrated: CalibratedModel, rng: np.random.Generator, nam
     away = _untaught(between[:, :, None], taught_nominal)
     errors, better = calibrated.errors, 0
     variance = np.full(conditions.shape[1], 3 * errors.rest**2)
-    slopes, choice = errors.slopes(model, calibrated.estimate, conditions), choice_errors(calibrated, conditions)
+    slopes = errors.slopes(model, calibrated.estimate, conditions)
+    further = [slopes[:, :, len(calibrated.estimate) :] @ errors.spread, choice_errors(calibrated, conditions)]
     mean = calibrated.estimate + errors.offset, errors.about_mean(calibrated.covariance)
     scales = by_scale(*mean, (model.prior_mean, model.prior_sd), strays(model))
     for scale, n in zip(scales, rng.multinomial(ROBOT_DRAWS, [scale.probability for scale in scales]), strict=True):
         root = errors.root(scale.covariance, scale.mean - calibrated.estimate)
-        apart = np.concatenate([slopes @ root, choice], axis=2)
+        apart = np.concatenate([slopes @ root, *further], axis=2)
         left = _untaught(apart, taught)
         variance += scale.probability * (left**2).sum(axis=(1, 2))
         drawn = np.concatenate([np.ones((1, n)), rng.standard_normal((apart.shape[2] - 1, n))])

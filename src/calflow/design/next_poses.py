@@ -84,12 +84,12 @@ def uncertainties(
     # Their mean is no uncertainty: no further pose reduces it.
     root = errors.root(errors.about_mean(fitted.covariance))[:, 1:]
     moved = errors.moved(model, estimate, at_task.conditions)
-    tool = np.concatenate([at_task.slopes, moved], axis=2) @ root
-    seen = slopes[:, :, :smooth] * np.append(np.ones(n), errors.sd) @ root
-    turn = _most_moving(tool[:, :, n:])
+    seen = slopes[:, :, :smooth] * np.append(np.ones(n), errors.sd)
+    tool, alone = np.concatenate([at_task.slopes, moved], axis=2), moved @ errors.spread
+    turn = _most_moving(alone)
     uncertainties = [
-        Uncertainty(PARAMETERS, seen[:, :, :n], tool[:, :, :n]),
-        Uncertainty("smooth errors", seen[:, :, n:] @ turn, tool[:, :, n:] @ turn),
+        Uncertainty(PARAMETERS, seen @ root, tool @ root),
+        Uncertainty("smooth errors", seen[:, :, n:] @ errors.spread @ turn, alone @ turn),
     ]
     free = slopes[:, :, np.flatnonzero(~fitted.fit.at_bound)]
     ends = smooth + np.cumsum([0, *(suspect.response.shape[1] for suspect in suspects)])

@@ -220,12 +220,11 @@ def _drawn(
     covariance, every = at_task.fitted.with_smooth_errors(variance)
     errors = of_robot(every)
     moved = errors.moved(at_task.fitted.model, at_task.fitted.fit.estimate, at_task.conditions)
-    slopes, root = np.concatenate([at_task.slopes, moved], axis=2), errors.root(errors.about_mean(covariance))
-    expected, factors = np.split(slopes @ root, [1], axis=2)
+    both = np.concatenate([at_task.slopes, moved], axis=2) @ errors.root(errors.about_mean(covariance))
     n = at_task.slopes.shape[2]
-    drawn = rng.standard_normal((number, factors.shape[2]))
-    error = np.einsum("nap,kp->kna", factors[:, :, :n], drawn[:, :n], optimize=True)
-    smooth = expected[:, :, 0] + np.einsum("nas,ks->kna", factors[:, :, n:], drawn[:, n:], optimize=True)
+    drawn = rng.standard_normal((number, n + len(errors.sd)))
+    error = np.einsum("nap,kp->kna", both[:, :, 1:], drawn[:, :n], optimize=True)
+    smooth = both[:, :, 0] + np.einsum("nas,ks->kna", moved @ errors.spread, drawn[:, n:], optimize=True)
     return error, smooth + errors.rest * rng.standard_normal(smooth.shape)
 
 

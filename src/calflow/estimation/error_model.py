@@ -107,15 +107,21 @@ class ErrorModel:
         It is the mean square error of the model without these functions, so that their posterior mean counts in full.
         """
         parts = np.array_split(conditions, range(ROWS, conditions.shape[1], ROWS), axis=1)  # not too many rows at once
-        shared = (self.shared(model, estimate, covariance, part) for part in parts)
-        return self.rest**2 + np.concatenate([(errors**2).sum(axis=2) for errors in shared])
+        variances, root = [], self.root(self.about_mean(covariance))
+        for part in parts:
+            slopes = self.slopes(model, estimate, part)
+            moved = slopes[:, :, len(estimate) :]
+            alone = np.maximum((moved**2).sum(axis=2) - ((moved @ self.told) ** 2).sum(axis=2), 0.0)
+            variances.append(self.rest**2 + ((slopes @ root) ** 2).sum(axis=2) + alone)
+        return np.concatenate(variances)
 
     def shared(self, model: Model, estimate: np.ndarray, covariance: np.ndarray, conditions: np.ndarray) -> np.ndarray:
         """Return the errors of rows' positions as factors (n_rows, 3, n) [m] of independent standard normals.
 
         Their squares add up to the variance less the part that is independent from row to row.
         """
-        return self.slopes(model, estimate, conditions) @ self.root(self.about_mean(covariance))
+        slopes, root = self.slopes(model, estimate, conditions), self.root(self.about_mean(covariance))
+        return np.concatenate([slopes @ root, slopes[:, :, len(estimate) :] @ self.spread], axis=2)
 
     def slopes(self, model: Model, estimate: np.ndarray, conditions: np.ndarray) -> np.ndarray:
         """Return the derivatives of rows' positions by parameters and by amplitudes over sd, (n_rows, 3, n) [m]."""
@@ -135,9 +141,9 @@ class ErrorModel:
         return np.asarray(covariance - np.outer(self.offset, self.offset))
 
     def root(self, covariance: np.ndarray, change: np.ndarray | None = None) -> np.ndarray:
-        """Return the joint errors of parameters and amplitudes over sd as factors (n, 1 + n) of independent standard normals.
+        """Return the joint errors of parameters and of the amplitudes that follow them, as factors of independent standard normals.
 
-        The first column is their mean; then follow the parameters' factors and those of the amplitudes alone.
+        Shape (n_parameters + n_functions, 1 + n_parameters); the first column is their mean. `spread` is to be added.
 
         Args:
             covariance: of the parameters about their mean.
@@ -146,8 +152,7 @@ class ErrorModel:
         change = self.offset if change is None else change
         own = root_of(covariance)
         mean = np.append(change, self.mean + self.slope @ (self.offset - change))
-        alone = np.vstack([np.zeros((len(own), len(self.sd))), self.spread])
-        return np.column_stack([mean, np.vstack([own, -self.slope @ own]), alone])
+        return np.column_stack([mean, np.vstack([own, -self.slope @ own])])
 
 
 def root_of(covariance: np.ndarray) -> np.ndarray:
