@@ -15,6 +15,7 @@ import numpy as np
 
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.difference import Difference, LikelihoodEstimate, comparable
+from calflow.estimation.error_model import root_of
 from calflow.files.deferred import pd
 from calflow.files.tables import StoredResults, column
 from calflow.robot.parts import Parameter
@@ -98,8 +99,7 @@ def _shift(value: np.ndarray, weight: np.ndarray, span: tuple[int, int, int]) ->
 def _drawn(run: LikelihoodEstimate, rng: np.random.Generator) -> np.ndarray:
     """Return estimates of a calibration drawn under its covariance around zero (NULL_DRAWS, n)."""
     scale = np.sqrt(np.diag(run.covariance))
-    variance, vectors = np.linalg.eigh(run.covariance / np.outer(scale, scale))
-    root = vectors * np.sqrt(np.maximum(variance, 0))
+    root = root_of(run.covariance / np.outer(scale, scale))
     return np.asarray(scale * (rng.standard_normal((NULL_DRAWS, len(scale))) @ root.T))
 
 

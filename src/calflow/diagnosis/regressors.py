@@ -22,7 +22,7 @@ from calflow.effects import Effect
 from calflow.effects.cause import Cause, parts
 from calflow.estimation.fit import Fit
 from calflow.estimation.least_squares import LeastSquares
-from calflow.estimation.probing import Probe, side_by_side
+from calflow.estimation.probing import Probe
 
 WHITENED_ROWS = 256  # rows that are whitened at once
 SMALL_MODE = 0.02  # a mode's variance over the noise's, below which it changes no test
@@ -373,6 +373,12 @@ class Regressors(Generic[H]):
         taken = np.zeros((self.matrix.shape[1], len(columns)))
         taken[columns, np.arange(len(columns))] = 1.0
         return self.with_parameters(self.matrix.times(taken), self.prior_sd[columns] ** -2.0)
+
+
+def side_by_side(numbers: np.ndarray) -> np.ndarray | slice:
+    """Return increasing indices (n,) as a slice where they are consecutive, so that NumPy indexes without a copy."""
+    first, last = int(numbers[0]), int(numbers[-1])
+    return slice(first, last + 1) if last - first == len(numbers) - 1 else numbers
 
 
 def candidates_of(effects: Sequence[Effect]) -> tuple[Candidate[Cause], ...]:

@@ -95,20 +95,13 @@ class Levers(Effect):
 class Basis:
     """Derivatives of the inner quantities by effects' parameters, at nominal values: the nonzeros, as a function of a row's state.
 
-    quantity (n_slopes,) is the index of the quantity, column (n_slopes,) that of the parameter among those of all the effects.
+    quantity (n_slopes,) is the index of the quantity, column (n_slopes,), in order, that of the parameter among those of all
+    the effects.
     """
 
     function: ca.Function
     quantity: np.ndarray
     column: np.ndarray
-
-    @property
-    def layers(self) -> Iterator[np.ndarray]:
-        """Yield layers of indices of slopes, such that no parameter occurs twice in a layer."""
-        order = np.argsort(self.column, kind="stable")
-        first = np.searchsorted(self.column[order], self.column[order])
-        depth = np.arange(len(order)) - first
-        yield from (order[depth == k] for k in range(int(depth.max(initial=-1)) + 1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,19 +185,13 @@ def probed(problem: LeastSquares, p: np.ndarray, effects: Sequence[Effect]) -> t
 def _fill(
     columns: np.ndarray, bases: Sequence[Basis], levers: np.ndarray, state: np.ndarray, conditions: np.ndarray
 ) -> None:
-    """Add the products of levers (n_rows, n_units, n_quantities) and bases to columns (n_rows, n_units, n_columns)."""
+    """Enter the products of levers (n_rows, n_units, n_quantities) and bases in columns (n_rows, n_units, n_columns)."""
     for basis in bases:
         slopes = over_rows(basis.function, np.zeros(0), state, conditions)[0].T
-        for layer in basis.layers:
-            moved = np.take(levers, basis.quantity[layer], axis=2)
-            moved *= slopes[:, None, side_by_side(layer)]
-            columns[:, :, side_by_side(basis.column[layer])] += moved
-
-
-def side_by_side(numbers: np.ndarray) -> np.ndarray | slice:
-    """Return increasing indices (n,) as a slice where they are consecutive, so that NumPy indexes without a copy."""
-    first, last = int(numbers[0]), int(numbers[-1])
-    return slice(first, last + 1) if last - first == len(numbers) - 1 else numbers
+        moved = np.take(levers, basis.quantity, axis=2)
+        moved *= slopes[:, None]
+        first = np.flatnonzero(np.diff(basis.column, prepend=-1))
+        columns[:, :, basis.column[first]] = np.add.reduceat(moved, first, axis=2)
 
 
 def _bases(effects: Sequence[Effect], given: tuple[str, ...]) -> tuple[list[Basis], int]:
