@@ -5,7 +5,7 @@ Nuisance parameters that no fitted row determines, as the place of a new station
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal
@@ -165,7 +165,7 @@ def errors(
 def leading_errors(model: Model, estimate: np.ndarray, measured: Measurements) -> np.ndarray:
     """Return the errors as `errors` does, those of each row in the leading unit of its series."""
     model, estimate = completed(model, estimate, measured)
-    return _leading_errors(model, estimate, _observed_series(model, measured), len(measured))
+    return _in_leading_units(model.observed_error, model, estimate, _observed_series(model, measured))
 
 
 def errors_of_draws(model: Model, draws: np.ndarray, measured: Measurements) -> np.ndarray:
@@ -173,17 +173,9 @@ def errors_of_draws(model: Model, draws: np.ndarray, measured: Measurements) -> 
     if completed(model, draws[0], measured)[0] is not model:  # each draw places new sockets and sessions for itself
         return np.array([errors(model, draw, measured) for draw in draws])
     every = _observed_series(model, measured)  # once: to look them up takes longer than to evaluate them
-    values = np.array([_leading_errors(model, draw, every, len(measured)) for draw in draws])
+    values = np.array([_in_leading_units(model.observed_error, model, draw, every) for draw in draws])
     _masked(values.swapaxes(0, 1), measured)
     return values
-
-
-def _leading_errors(model: Model, estimate: np.ndarray, every: Sequence[_ObservedSeries], n_rows: int) -> np.ndarray:
-    errors = np.full((n_rows, _widest(model), 1), np.nan)
-    for seen in every:
-        error = model.observed_error(seen.observation, estimate, seen.conditions, seen.reported)
-        seen.enter(errors, error[:, :, None], model, estimate)
-    return errors[:, :, 0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,13 +187,6 @@ class _ObservedSeries:
     table: pd.DataFrame
     conditions: np.ndarray
     reported: np.ndarray
-
-    def enter(self, every: np.ndarray, values: np.ndarray, model: Model, estimate: np.ndarray) -> None:
-        """Enter values (n, n_units, …) in the leading unit in those of all rows, rotated from a device's axes into its frame."""
-        leading = _leading(self.observation)
-        axes = self.observation.axes(model.values(self.observation, estimate), self.table)
-        turned = values[:, leading] if axes is None else axes @ values[:, leading]
-        every[self.rows[:, None], np.arange(len(leading))] = turned
 
 
 def _observed_series(model: Model, measured: Measurements) -> list[_ObservedSeries]:
@@ -219,21 +204,30 @@ def error_jacobian(
 ) -> np.ndarray:
     """Return the Jacobian of `errors`, shape (n_rows, 3 or more, n_parameters), zero where `errors` has nan."""
     model = observing(model, measured)
-    jacobian = np.zeros((len(measured), _widest(model), len(estimate)))
-    for seen in _observed_series(model, measured):
-        slope = model.observed_jacobian(seen.observation, estimate, seen.conditions, seen.reported)
-        seen.enter(jacobian, slope, model, estimate)
+    jacobian = _in_leading_units(model.observed_jacobian, model, estimate, _observed_series(model, measured))
     return np.nan_to_num(_masked(jacobian, measured, unit))
 
 
-def _leading(observation: Observation) -> list[int]:
-    """Return the indices of an observation's residuals in its leading unit."""
-    return [i for i, unit in enumerate(observation.units) if unit == observation.units[0]]
+def _in_leading_units(
+    values: Callable[[Observation, np.ndarray, np.ndarray, np.ndarray], np.ndarray],
+    model: Model,
+    estimate: np.ndarray,
+    every: Sequence[_ObservedSeries],
+) -> np.ndarray:
+    """Return values of all rows in the leading unit of their series, (n_rows, 3 or more, …); nan where a row has fewer.
 
-
-def _widest(model: Model) -> int:
-    """Return the number of columns of errors: three, or more where a row has more values in one unit."""
-    return max(3, *(len(_leading(observation)) for observation in model.observations))
+    values is the method of the model that returns them for an observation. A device's axes are rotated into its frame.
+    """
+    leading = [
+        [k for k, unit in enumerate(seen.observation.units) if unit == seen.observation.units[0]] for seen in every
+    ]
+    parts = [values(seen.observation, estimate, seen.conditions, seen.reported) for seen in every]
+    whole = np.full((sum(map(len, parts)), max(3, *map(len, leading)), *parts[0].shape[2:]), np.nan)
+    for seen, own, part in zip(every, leading, parts, strict=True):
+        axes, part = seen.observation.axes(model.values(seen.observation, estimate), seen.table), part[:, own]
+        turned = part if axes is None else (axes @ part.reshape(*part.shape[:2], -1)).reshape(part.shape)
+        whole[seen.rows[:, None], np.arange(len(own))] = turned
+    return whole
 
 
 def _masked(values: np.ndarray, measured: Measurements, unit: MeasurementUnit | None = None) -> np.ndarray:
