@@ -10,7 +10,7 @@ from scipy.stats import norm
 
 from calflow.diagnosis.regressors import Candidate, Regressors, TallMatrix
 from calflow.diagnosis.screening import Screening
-from calflow.estimation.variance_components import LOG_PRIOR, SIZES, explained, mixed, size_cost
+from calflow.estimation.variance_components import LOG_PRIOR, SIZES, explained, mixed, spent
 from calflow.linear import Block
 
 
@@ -45,9 +45,10 @@ def test_a_size_costs_what_the_prior_says_of_it():
     """Breaks if a gross mistake pays by its square, or what is usual is not told from what is huge."""
     values = np.array([0.01, 0.1, 1.0, 10.0])
     expected = -2 * np.log(density(values) * np.sqrt(2 * np.pi))
-    assert [size_cost(value**2, 1) for value in values] == pytest.approx(expected)
-    assert size_cost(10.0**2, 1) < 15
-    assert size_cost(0.1**2, 1) < size_cost(1.0, 1) < size_cost(10.0**2, 1)
+    cost = np.array([spent(np.array([value]), 1) for value in values]) + values**2
+    assert cost == pytest.approx(expected)
+    assert cost[3] < 15
+    assert cost[1] < cost[2] < cost[3]
 
 
 def test_neither_rows_nor_parameters_count_for_themselves():

@@ -162,7 +162,11 @@ class Probe:
                 if self.bases:
                     levers = slopes[..., n:]
                     slopes = np.concatenate([slopes[..., :n], np.zeros((*slopes.shape[:2], self.width))], axis=2)
-                    _fill(slopes[..., n:], self.bases, levers, state[0], part.conditions)
+                    for basis in self.bases:
+                        moved = np.take(levers, basis.quantity, axis=2)
+                        moved *= over_rows(basis.function, np.zeros(0), state[0], part.conditions)[0].T[:, None]
+                        first = np.flatnonzero(np.diff(basis.column, prepend=-1))
+                        slopes[:, :, n + basis.column[first]] = np.add.reduceat(moved, first, axis=2)
                 rows, start = slice(start, start + left.size), start + left.size
                 yield rows, part.decorrelated(left.T).ravel(), part.decorrelated(slopes).reshape(-1, self.shape[1])
 
@@ -180,18 +184,6 @@ def probed(problem: LeastSquares, p: np.ndarray, effects: Sequence[Effect]) -> t
     Its columns are the model's parameters, then those of the additional effects, at nominal values.
     """
     return Probe.of(problem, p, effects).whole()
-
-
-def _fill(
-    columns: np.ndarray, bases: Sequence[Basis], levers: np.ndarray, state: np.ndarray, conditions: np.ndarray
-) -> None:
-    """Enter the products of levers (n_rows, n_units, n_quantities) and bases in columns (n_rows, n_units, n_columns)."""
-    for basis in bases:
-        slopes = over_rows(basis.function, np.zeros(0), state, conditions)[0].T
-        moved = np.take(levers, basis.quantity, axis=2)
-        moved *= slopes[:, None]
-        first = np.flatnonzero(np.diff(basis.column, prepend=-1))
-        columns[:, :, basis.column[first]] = np.add.reduceat(moved, first, axis=2)
 
 
 def _bases(effects: Sequence[Effect], given: tuple[str, ...]) -> tuple[list[Basis], int]:

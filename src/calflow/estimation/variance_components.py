@@ -344,25 +344,18 @@ def mixed(logs: np.ndarray) -> np.ndarray:
     return np.asarray(most + np.log(np.exp(logs - most).sum(axis=0)))
 
 
-def size_cost(pulled: float, number: int) -> float:
-    """Return -2 log of the prior density at estimates, over that of a standard normal's peak.
-
-    Args:
-        pulled: sum of squares of the estimates over their usual sizes.
-        number: number of estimates.
-    """
-    return float(-2 * mixed(-pulled / SIZES**2 / 2 - number * np.log(SIZES)))
-
-
 def spent(amplitudes: np.ndarray, variants: int) -> float:
     """Return minus twice the log prior of a cause's amplitudes by a refit, beyond that of a normal prior of the usual size.
+
+    The prior is over a standard normal's at its peak, and shared by the cause's variants.
 
     Args:
         amplitudes: estimates less the prior means, over their usual sizes; nan at a bound.
         variants: number of forms of the cause that were tried.
     """
-    pulled = float(np.nansum(amplitudes**2))
-    return size_cost(pulled, int(np.isfinite(amplitudes).sum())) - pulled + 2 * float(np.log(variants))
+    pulled, number = np.nansum(amplitudes**2), np.isfinite(amplitudes).sum()
+    of_sizes = -pulled / SIZES**2 / 2 - number * np.log(SIZES)
+    return float(-2 * mixed(of_sizes) - pulled + 2 * np.log(variants))
 
 
 def refitted_cost(
