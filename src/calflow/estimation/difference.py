@@ -69,24 +69,18 @@ def comparable(first: CalibratedModel, second: CalibratedModel) -> list[tuple[in
 
     Errors of base and tool are relative to their registered places, and are compared only where both registered the same.
     """
-    elsewhere = _elsewhere(first, second)
+    robots = first.model.robot, second.model.robot
+    same = {"base": robots[0].base == robots[1].base, "tool": robots[0].tool_rotation == robots[1].tool_rotation}
     places = {_stated(parameter): k for k, parameter in enumerate(second.model.parameters) if not second.at_bound[k]}
     return [
         (k, places[_stated(parameter)])
         for k, parameter in enumerate(first.model.parameters)
-        if _stated(parameter) in places and parameter.part not in elsewhere and not first.at_bound[k]
+        if _stated(parameter) in places and same.get(parameter.part, True) and not first.at_bound[k]
     ]
 
 
 def _stated(parameter: Parameter) -> tuple[str, float, float, float]:
     return parameter.name, parameter.figure, parameter.prior_mean, parameter.prior_sd
-
-
-def _elsewhere(first: CalibratedModel, second: CalibratedModel) -> set[str]:
-    """Return the parts, base and tool, that the two calibrations registered at different places."""
-    first_robot, other = first.model.robot, second.model.robot
-    same = {"base": first_robot.base == other.base, "tool": first_robot.tool_rotation == other.tool_rotation}
-    return {part for part, agrees in same.items() if not agrees}
 
 
 @dataclass(frozen=True)

@@ -81,11 +81,12 @@ class FittedEffects:
         """The figures of `identify/summary.json`."""
         fit, identifiability, noise, data = self.fit, self.identifiability, self.noise, self.data
         used = data.only(data.train | data.held_out)
+        points = fit.model.point(fit.estimate, used.conditions)
         return IdentifySummary(
             sigma_mm=1e3 * noise.typical(METRE) if METRE in noise.leading else None,
             **fit_figures(fit, noise, self.lack, self.left_out.at_new_poses, self.left_out.upper_limit, self.errors),
             intraclass=noise.intraclass,
-            spread_mm=1e3 * _spread(fit.model, fit.estimate, used),
+            spread_mm=1e3 * float(np.linalg.norm(points - points.mean(axis=0), axis=1).mean()),
             rank=identifiability.rank,
             parameters=identifiability.n_parameters,
             rank_by_effect=dict(identifiability.rank_by_effect),
@@ -227,9 +228,3 @@ def _of_single_rows(noise: Noise, fitted: Noise) -> np.ndarray:
         if source == "estimated":
             sigma[noise.of_series(k)] = fitted.sigma[fitted.of_series(k)].max(initial=0.0)
     return sigma
-
-
-def _spread(model: Model, estimate: np.ndarray, data: Measurements) -> float:
-    """Return the mean distance of the points from their centroid [m]."""
-    points = model.point(estimate, data.conditions)
-    return float(np.linalg.norm(points - points.mean(axis=0), axis=1).mean())

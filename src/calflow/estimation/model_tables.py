@@ -175,11 +175,6 @@ class FitSummary:
         """Whether the noise of any series is known independently of the fit."""
         return any(source != "estimated" for source in self.noise_sources)
 
-    def discrepancy_of(self, observed: Sequence[Observation]) -> PerUnit:
-        """Return the discrepancies in the units of the observations."""
-        units = {unit.label: unit for observation in observed for unit in observation.units}
-        return PerUnit(tuple((units[label], size / units[label].scale) for label, size in self.discrepancies.items()))
-
     @property
     def lack_of_fit(self) -> float:
         """Residuals over the noise, root mean square; nan where the noise was estimated from the fit itself."""
@@ -395,9 +390,20 @@ def read_error_model(stage: str, results: Results, observed: Sequence[Observatio
     Conversion to mm and back may change the last bits: a stage that saves its model goes on with the values read back.
     """
     summary = results.document(f"{stage}/summary.json", FitSummary)
+    units = {unit.label: unit for observation in observed for unit in observation.units}
     return {
-        "device": _read_noise(results.rows(f"{stage}/noise.csv", DeviceNoise), observed),
-        "discrepancy": summary.discrepancy_of(observed),
+        "device": tuple(
+            SeriesNoise(
+                row.sigma / units[row.unit].scale,
+                row.source,
+                row.typical / units[row.unit].scale,
+                row.growth_mm_per_m / 1e3,
+            )
+            for row in results.rows(f"{stage}/noise.csv", DeviceNoise)
+        ),
+        "discrepancy": PerUnit(
+            tuple((units[label], size / units[label].scale) for label, size in summary.discrepancies.items())
+        ),
         "loss": summary.loss,
         "intraclass": summary.intraclass,
     }
@@ -432,14 +438,6 @@ def _alternatives(rows: Sequence[AlternativeParameter], model: Model) -> tuple[A
         estimate = np.array([stated[parameter.name] for parameter in other.parameters])
         alternatives.append(Alternative(other, estimate, first.probability, gone, next(iter(come), None)))
     return tuple(alternatives)
-
-
-def _read_noise(rows: Sequence[DeviceNoise], observed: Sequence[Observation]) -> tuple[SeriesNoise, ...]:
-    scales = [observation.units[0].scale for observation in observed]
-    return tuple(
-        SeriesNoise(row.sigma / scale, row.source, row.typical / scale, row.growth_mm_per_m / 1e3)
-        for row, scale in zip(rows, scales, strict=True)
-    )
 
 
 def placed(robot: Robot, results: Results) -> Robot:
