@@ -39,6 +39,10 @@ class Seen:
         """What a rival does here depends on no other cause."""
         return finding
 
+    def with_form_errors(self, finding):
+        """Forms are exact here."""
+        return finding
+
 
 def finding(*scores):
     """A finding of the first one's cause."""

@@ -10,13 +10,14 @@ import scipy
 
 from calflow.diagnosis.diagnosis import Diagnosis
 from calflow.diagnosis.fitted import Fitted
+from calflow.diagnosis.form_error import variable_values
 from calflow.diagnosis.noise_growth import RANGE, Growth
 from calflow.diagnosis.regressors import candidates_of
 from calflow.diagnosis.screening import Score, by_place, f_threshold, place_probabilities
 from calflow.diagnosis.trial import Screened
 from calflow.diagnosis.verdict import SIZE, Change, ModelInReach, amplitude, probabilities, sizes
 from calflow.effects import Effect, catalogue
-from calflow.effects.base import NOTHING, Variable
+from calflow.effects.base import NOTHING
 from calflow.effects.cause import Cause
 from calflow.estimation.accuracy import completed, error_jacobian, errors, judged_unit
 from calflow.estimation.extrapolation import Curve
@@ -26,7 +27,6 @@ from calflow.files.deferred import pd
 from calflow.files.tables import column, to_frame, typed
 from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements
-from calflow.model import Model
 from calflow.observations import leading_units
 
 NAN = float("nan")
@@ -223,10 +223,11 @@ def curves(final: Fitted, causes: Sequence[Cause], data: Measurements) -> pd.Dat
         lever = levers[:, :, cause.joint - 1] if cause.joint else None
         along = _acting_along(jacobian[:, :, columns], estimate[columns], lever)
         variable = cause.effect.variable(cause.joint)
+        x = variable.factor * variable_values(model, variable, data)
         after, fitted = (np.einsum("ra,ra->r", part, along) for part in (left, moved))
         block = {
             "finding": causes.index(cause) + 1, "cause": cause.id, "joint": cause.joint or None,
-            "variable": variable.label, "variable_unit": variable.unit, "x": _variable_values(model, cause, variable, data),
+            "variable": variable.label, "variable_unit": variable.unit, "x": x,
             "before_mm": lengths * (after + fitted), "after_mm": lengths * after, "fitted_mm": lengths * fitted,
             "before": unit.shown(after + fitted), "after": unit.shown(after), "fitted": unit.shown(fitted),
             "error_unit": unit.label,
@@ -252,14 +253,6 @@ def _acting_along(jacobian: np.ndarray, value: np.ndarray, lever: np.ndarray | N
     along = axes[:, 0, :]
     mean = np.einsum("rap,rbp,rb->a", moved, moved, along)
     return along * np.where(along @ mean < 0, -1.0, 1.0)[:, None]
-
-
-def _variable_values(model: Model, cause: Effect, variable: Variable, data: Measurements) -> np.ndarray:
-    rigid = Model(model.robot, (), model.given)
-    (values,) = rigid.figures(
-        "variable", lambda p, c, at: [variable.value(at.state, at.row)], rigid.nominal, data.conditions
-    )
-    return values.ravel() * variable.factor
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -25,6 +25,7 @@ import scipy
 
 from calflow.diagnosis.background import JOINTS, BackgroundBasis, Sizes, background, beside_background, uneven_causes
 from calflow.diagnosis.fitted import Fitted
+from calflow.diagnosis.form_error import with_form_errors
 from calflow.diagnosis.regressors import Place, Regressors
 from calflow.diagnosis.screening import Catalogue, Score, Screening
 from calflow.diagnosis.stepwise import REACH, SPLIT, CauseAcceptance, Stepwise, second_thoughts, verified, words
@@ -135,6 +136,10 @@ class FittedTrial(Trial[Cause]):
         ]
         others = [score for score in finding.scores if score.cause not in near]
         return replace(finding, scores=tuple(sorted([*others, *in_place], key=lambda score: score.cost)))
+
+    def with_form_errors(self, finding: Detection[Cause]) -> Detection[Cause]:
+        """Return a finding with its near rivals weighed with form errors."""
+        return with_form_errors(finding, self.fitted, self.linearisation.apart([finding.cause]).regressors)
 
     def _finer(self, cause: Cause) -> list[Cause]:
         return [replace(cause, effect=effect) for effect in cause.effect.finer(self.fitted.data)]

@@ -244,7 +244,7 @@ def doubted(best: Trial[H]) -> Iterator[list[H]]:
 
 
 def verified(best: Trial[H], tried: Sequence[Trial[H]]) -> tuple[Detection[H], ...]:
-    """Return the findings, with the evidence of rivals from fits with them in a cause's place, where there were such."""
+    """Return the findings, with the evidence of rivals from fits in a cause's place, where there were such, and form errors."""
     detections = []
     for finding in map(best.weighed_in_place, best.findings):
         stay = [cause for cause in best.causes if cause != finding.cause]
@@ -253,7 +253,7 @@ def verified(best: Trial[H], tried: Sequence[Trial[H]]) -> tuple[Detection[H], .
             for score in doubtful(finding)
             if (fitted := [other.cost - best.cost for other in tried if _has(other, stay, score.cause)])
         }
-        detections.append(corrected_rivals(finding, above, best.first.degrees_of_freedom))
+        detections.append(best.with_form_errors(corrected_rivals(finding, above, best.first.degrees_of_freedom)))
     return tuple(detections)
 
 

@@ -182,6 +182,10 @@ class Trial(ABC, Generic[H]):
         """Return a finding with its near rivals scored at zero amplitude of the cause, where they may have no effect."""
         return finding
 
+    def with_form_errors(self, finding: Detection[H]) -> Detection[H]:
+        """Return a finding with its near rivals weighed with form errors, where forms are a guess."""
+        return finding
+
     def refined(self) -> Iterator[list[H]]:
         """Yield the causes in forms that are clearly better beside the other causes of the model."""
         yield from ()

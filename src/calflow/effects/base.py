@@ -171,6 +171,9 @@ class Variable:
     factor: float = 1.0
 
 
+IN_ORDER = Variable("place in measuring order", "", lambda state, row: row.order)
+
+
 def joint_variable(effect: Effect, joint: int) -> Variable:
     """Return a joint's (from 1) angle, or a prismatic joint's position, as the abscissa of its error."""
     of = effect.robot.joints[joint - 1]
@@ -384,7 +387,7 @@ class Effect(ABC):
 
     def variable(self, joint: int) -> Variable:
         """Return the abscissa for plots of its error at a joint (0 for none); by default the position in measuring order."""
-        return Variable("place in measuring order", "", lambda state, row: row.order)
+        return IN_ORDER
 
     def size(self, p: ca.SX, own: Sequence[Parameter]) -> ca.SX:
         """Return the size of one part's own parameters (n,): the norm of those that share the first one's unit."""

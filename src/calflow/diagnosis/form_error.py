@@ -1,0 +1,121 @@
+"""Form errors: what a cause explains in another form than the catalogue's, beyond its own form.
+
+A form is a guess: a compensator hinged elsewhere, or a gear whose stiffness grows otherwise, acts as the catalogue's cause with an
+amplitude that varies smoothly with the variable through which it acts. So near rivals are weighed with such variations beside
+them, a random share of each one's own effect that is integrated out as the amplitudes are. Else a small misfit of a large cause
+would outweigh all doubts about its name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import pairwise, starmap
+
+import numpy as np
+
+from calflow.diagnosis.fitted import Fitted
+from calflow.diagnosis.regressors import Regressors, Rows, TallMatrix
+from calflow.diagnosis.screening import Score, Screening
+from calflow.diagnosis.trial import Detection
+from calflow.effects.base import IN_ORDER, Variable
+from calflow.effects.cause import Cause
+from calflow.estimation.calibrated_model import MANY
+from calflow.estimation.variance_components import HALF_NORMAL, SIZES, directions, explained, log_likelihood
+from calflow.measurements.measurements import Measurements
+from calflow.model import Model
+
+SHARE = 0.1  # of a cause's effect: usual standard deviation of its form error
+ORDERS = 4  # of the Legendre polynomials of a cause's variable
+ORDERS_EACH = 2  # of those of each joint's reading, where a cause has no variable of its own
+SHARES, WEIGHTS = SHARE * SIZES, SIZES * HALF_NORMAL / (SIZES @ HALF_NORMAL)  # and their prior: half-normal
+MISFIT = 0.1  # share of what the likeliest cause explains that a rival's form error may make up for,
+NEAR = 20.0  # and cost above it from which a rival does not matter
+MOST = 40  # forms that are weighed so, the likeliest
+
+
+def with_form_errors(finding: Detection[Cause], fitted: Fitted, apart: Regressors[Cause]) -> Detection[Cause]:
+    """Return a finding with its near rivals, in each of their forms, weighed with form errors, as is its own cause.
+
+    apart are the regressors of the fitted model without the cause.
+    """
+    columns = {candidate.cause: candidate.columns for candidate in apart.candidates}
+    least = min(score.cost for score in finding.scores)
+    limit = least - MISFIT * least + NEAR
+    near = [score for score in finding.scores
+            if score.cost < limit and score.cause in columns and score.cause.n_parameters <= MANY][:MOST]  # fmt: skip
+    if finding.own not in near:
+        return finding
+    row = fitted.problem.stacking.row
+    forms = [_Form(score, columns[score.cause], variations(score.cause, fitted)[row]) for score in near]
+
+    def blocks() -> Iterator[tuple[Rows, np.ndarray]]:
+        for rows, x in apart.matrix.blocks():
+            yield rows, np.hstack([form.regressors(rows, x) for form in forms])
+
+    ends = np.cumsum([0, *(form.width for form in forms)])
+    seen = Screening(apart.only(()).moving(TallMatrix((len(row), ends[-1]), blocks)))
+    information = seen.information(np.arange(ends[-1]))
+    gains = {
+        form.score.cause: form.gain(information[span, span], seen.score[span], apart.prior_sd, seen)
+        for form, span in zip(forms, starmap(slice, pairwise(ends)), strict=True)
+    }
+    # Against nothing, or an unnamed error, the cause counts as it is.
+    own = gains[finding.cause]
+    scores = (replace(score, cost=score.cost + own - gains.get(score.cause, own)) for score in finding.scores)
+    return replace(finding, scores=tuple(sorted(scores, key=lambda score: score.cost)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Form:
+    """A cause's score, the columns of its regressors, and the smooth functions (n, n_variations) by which its effect may vary."""
+
+    score: Score[Cause]
+    columns: np.ndarray
+    variations: np.ndarray
+
+    @property
+    def width(self) -> int:
+        """Number of its regressors, those of its form error included."""
+        return len(self.columns) + self.variations.shape[1]
+
+    def regressors(self, rows: Rows, x: np.ndarray) -> np.ndarray:
+        """Return its regressors at some rows, then those of its form error, from those of all candidates there."""
+        own = x[:, self.columns]
+        return np.hstack([own, (own @ self.score.estimate)[:, None] * self.variations[rows]])
+
+    def gain(self, information: np.ndarray, score: np.ndarray, prior_sd: np.ndarray, seen: Screening[Cause]) -> float:
+        """Return twice the log Bayes factor of its form error, by the information on its regressors and their score."""
+        own, error = np.split(np.arange(self.width), [len(self.columns)])
+        inverse = np.linalg.inv(information[np.ix_(own, own)] + np.diag(prior_sd[self.columns] ** -2.0))
+        mixed = information[np.ix_(error, own)] @ inverse
+        shown = information[np.ix_(error, error)] - mixed @ information[np.ix_(own, error)]
+        fallen, narrowed = explained(*directions(shown, score[error] - mixed @ score[own]), SHARES)
+        chi2 = seen.chi2 - score[own] @ inverse @ score[own]
+        return 2 * float(np.log(WEIGHTS @ np.exp(log_likelihood(fallen / chi2, narrowed, seen.degrees_of_freedom))))
+
+
+def variations(cause: Cause, fitted: Fitted) -> np.ndarray:
+    """Return smooth functions of what a cause acts through, its form error at a standard deviation of one, (n_rows, n).
+
+    They are Legendre polynomials of its variable over the measured range, the higher the smaller; of each joint's reading, if it
+    has none.
+    """
+    variable = cause.effect.variable(cause.joint)
+    alone = variable is not IN_ORDER or cause.of_measuring()
+    inputs = variable_values(fitted.model, variable, fitted.data)[:, None] if alone else fitted.data.joints
+    low, span = inputs.min(axis=0), np.ptp(inputs, axis=0)
+    scaled = 2 * (inputs - low) / np.where(span > 0, span, 1.0) - 1
+    orders = np.arange(1, 1 + (ORDERS if alone else ORDERS_EACH))
+    waves = np.polynomial.legendre.legvander(scaled, orders[-1])[:, :, 1:] * np.sqrt(2 * orders + 1) / orders
+    functions = waves.reshape(len(inputs), -1)
+    return functions / np.sqrt((functions**2).sum(axis=1).mean())
+
+
+def variable_values(model: Model, variable: Variable, data: Measurements) -> np.ndarray:
+    """Return the values of a cause's variable by the nominal robot (n_rows,), in SI units."""
+    rigid = Model(model.robot, (), model.given)
+    (values,) = rigid.figures(
+        "variable", lambda p, c, at: [variable.value(at.state, at.row)], rigid.nominal, data.conditions
+    )
+    return values.ravel()
