@@ -46,7 +46,7 @@ def with_form_errors(finding: Detection[Cause], fitted: Fitted, apart: Regressor
             if score.cost < limit and score.cause in columns and score.cause.n_parameters <= MANY][:MOST]  # fmt: skip
     if finding.own not in near:
         return finding
-    row = fitted.problem.stacking.row
+    row = fitted.problem.row
     forms = [_Form(score, columns[score.cause], variations(score.cause, fitted)[row]) for score in near]
 
     def blocks() -> Iterator[tuple[Rows, np.ndarray]]:
