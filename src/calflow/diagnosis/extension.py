@@ -67,7 +67,7 @@ class FittedTrial(Trial[Cause]):
         settled = Screening(fitted.beside)
         estimate = fitted.fit.estimate.copy()
         estimate[free] += settled.change
-        every = [amplitudes(fitted, cause, estimate, self.catalogue.variants) for cause in self.causes]
+        every = [_relative_amplitudes(fitted, cause, estimate, self.catalogue.variants) for cause in self.causes]
         columns = np.concatenate([np.zeros(0, dtype=int), *(model.columns(cause) for cause in self.causes)])
         shown = np.flatnonzero(np.isin(free, columns))
         root = settled.root_covariance(shown) / model.prior_sd[free[shown]]
@@ -301,11 +301,11 @@ def unnamed(
         unevenly = uneven_causes(fitted, alone=cause)
         other, whole = Sizes.of(without, basis, fitted.problem, unevenly), Sizes.beside(fitted, basis)
         lost, kept = (sizes.likeliest(other.components.total, same_in(cause)) for sizes in (other, whole))
-        evidence[cause] = lost - kept - spent(*amplitudes(fitted, cause, fitted.fit.estimate, variants))
+        evidence[cause] = lost - kept - spent(*_relative_amplitudes(fitted, cause, fitted.fit.estimate, variants))
     return evidence
 
 
-def amplitudes(
+def _relative_amplitudes(
     fitted: Fitted, cause: Cause, estimate: np.ndarray, variants: Mapping[Place, int]
 ) -> tuple[np.ndarray, int]:
     """Return the amplitudes of a model's cause at an estimate, and the number of forms that were tried at its place.
