@@ -22,6 +22,8 @@ from calflow.measurements.rows import blocks_of
 from calflow.model import Model
 from calflow.observations import Observation, leading_units, observations
 
+# A method of the model: values (n, n_units, …) of an observation at an estimate, of packed rows with what was reported of them.
+Values = Callable[[Observation, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 TURNS = 4  # Gauss-Newton iterations, which start from the registered values
 NAN = float("nan")
 RESAMPLES = 2000  # of the poses, for the interval of a gain
@@ -71,20 +73,12 @@ def _settled(model: Model, point: np.ndarray, new: np.ndarray, data: Measurement
             continue
         sd = model.prior_sd[columns]
         for _ in range(TURNS):
-            parts = [_linearised(model, point, seen, columns) for seen in series]
-            error, slope = (np.concatenate(of) for of in zip(*parts, strict=True))
+            error = np.concatenate([seen.values(model.observed_error, point).ravel() for seen in series])
+            slopes = (seen.values(model.observed_jacobian, point)[:, :, columns] for seen in series)
+            slope = np.concatenate([of_series.reshape(-1, len(columns)) for of_series in slopes])
             there = np.isfinite(error)
             point[columns] -= sd * np.linalg.lstsq(slope[there] * sd, error[there], rcond=1e-9)[0]
     return point
-
-
-def _linearised(
-    model: Model, point: np.ndarray, seen: _ObservedSeries, columns: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the errors of a series' rows (n,), and their derivatives by the parameters in columns (n, n_columns)."""
-    error = model.observed_error(seen.observation, point, seen.conditions, seen.reported).ravel()
-    slope = model.observed_jacobian(seen.observation, point, seen.conditions, seen.reported)[:, :, columns]
-    return error, slope.reshape(len(error), len(columns))
 
 
 def registered_on(observation: Observation, rows: Measurements, model: Model, estimate: np.ndarray) -> Observation:
@@ -188,6 +182,10 @@ class _ObservedSeries:
     conditions: np.ndarray
     reported: np.ndarray
 
+    def values(self, of: Values, estimate: np.ndarray) -> np.ndarray:
+        """Return what a method of the model yields for these rows."""
+        return of(self.observation, estimate, self.conditions, self.reported)
+
 
 def _observed_series(model: Model, measured: Measurements) -> list[_ObservedSeries]:
     series = []
@@ -209,19 +207,16 @@ def error_jacobian(
 
 
 def _in_leading_units(
-    values: Callable[[Observation, np.ndarray, np.ndarray, np.ndarray], np.ndarray],
-    model: Model,
-    estimate: np.ndarray,
-    every: Sequence[_ObservedSeries],
+    values: Values, model: Model, estimate: np.ndarray, every: Sequence[_ObservedSeries]
 ) -> np.ndarray:
     """Return values of all rows in the leading unit of their series, (n_rows, 3 or more, …); nan where a row has fewer.
 
-    values is the method of the model that returns them for an observation. A device's axes are rotated into its frame.
+    A device's axes are rotated into its frame.
     """
     leading = [
         [k for k, unit in enumerate(seen.observation.units) if unit == seen.observation.units[0]] for seen in every
     ]
-    parts = [values(seen.observation, estimate, seen.conditions, seen.reported) for seen in every]
+    parts = [seen.values(values, estimate) for seen in every]
     whole = np.full((sum(map(len, parts)), max(3, *map(len, leading)), *parts[0].shape[2:]), np.nan)
     for seen, own, part in zip(every, leading, parts, strict=True):
         axes, part = seen.observation.axes(model.values(seen.observation, estimate), seen.table), part[:, own]

@@ -207,25 +207,22 @@ def _graph(block: SeriesBlock, moved: SeriesBlock) -> ca.Function | None:
     points.
     """
     key, made = f"levers {block.key}", block.model.made
-    if key not in made and (function := _with_levers(moved)):
-        made[key] = function
-    return made.get(key)
-
-
-def _with_levers(block: SeriesBlock) -> ca.Function | None:
+    if key in made:
+        return made[key]
     asked = Asked([], [])
-    inputs, residual = block.expression(asked)
+    inputs, residual = moved.expression(asked)
     if max(map(len, asked)) > 1:
         return None
-    p, _, predicted = block.model.symbols
+    p, _, predicted = moved.model.symbols
     points = (seen[0] if seen else ca.SX(3, 1) for seen in asked)
     state = _packed((predicted.dims, predicted.loads, predicted.state, *points))
     residual, state = ca.cse([residual, state])  # a third of the operations are duplicates
     outputs = [residual, ca.jacobian(residual, p).T, state]
-    (probe,) = block.model.probes
-    levers = p[block.model.columns(probe).tolist()]
+    (probe,) = moved.model.probes
+    levers = p[moved.model.columns(probe).tolist()]
     outputs = ca.substitute(outputs, [levers], [ca.SX.zeros(levers.numel())])
-    return ca.Function("levers", inputs, [ca.densify(output) for output in outputs])
+    made[key] = ca.Function("levers", inputs, [ca.densify(output) for output in outputs])
+    return made[key]
 
 
 @lru_cache(maxsize=256)

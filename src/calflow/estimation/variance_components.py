@@ -204,15 +204,14 @@ class VarianceComponents:
         parts = self._beside(variance, range(self.n_parts))
         for k in map(int, np.flatnonzero(variance > 0)):
             parts |= self._beside(np.where(np.arange(self.n_parts) == k, 0.0, variance), [k])
-        return np.array([self._of_sizes(*parts[k]) for k in range(self.n_parts)]).reshape(self.n_parts, len(SIZES))
-
-    def _of_sizes(self, gram: np.ndarray, score: np.ndarray, chi2: float) -> np.ndarray:
-        """Return the probabilities (n_sizes,) of a part's sizes, from what `_beside` returns."""
-        fallen, narrowed = explained(*directions(USUAL * gram, np.sqrt(USUAL) * score))
-        cost = self.cost_of_noise(chi2 - fallen) + narrowed
-        likelier = np.clip((self.cost_of_noise(chi2) - cost) / 2, -700, 300)  # than none
-        weight = PRIOR * np.exp(likelier) / self.n_parts
-        return np.asarray(weight / (1 + weight.sum()))
+        probabilities = np.empty((self.n_parts, len(SIZES)))
+        for k, (gram, score, chi2) in parts.items():
+            fallen, narrowed = explained(*directions(USUAL * gram, np.sqrt(USUAL) * score))
+            cost = self.cost_of_noise(chi2 - fallen) + narrowed
+            likelier = np.clip((self.cost_of_noise(chi2) - cost) / 2, -700, 300)  # than none
+            weight = PRIOR * np.exp(likelier) / self.n_parts
+            probabilities[k] = weight / (1 + weight.sum())
+        return probabilities
 
     def _scoring_steps(self, variance: np.ndarray, parts: Iterable[int]) -> dict[int, tuple[float, float]]:
         """Return the scoring step of some parts' variances from zero, over its standard deviation and as it is.
