@@ -220,7 +220,7 @@ def _in_leading_units(
     whole = np.full((sum(map(len, parts)), max(3, *map(len, leading)), *parts[0].shape[2:]), np.nan)
     for seen, own, part in zip(every, leading, parts, strict=True):
         axes, part = seen.observation.axes(model.values(seen.observation, estimate), seen.table), part[:, own]
-        turned = part if axes is None else (axes @ part.reshape(*part.shape[:2], -1)).reshape(part.shape)
+        turned = part if axes is None else np.einsum("nij,nj...->ni...", axes, part)
         whole[seen.rows[:, None], np.arange(len(own))] = turned
     return whole
 
