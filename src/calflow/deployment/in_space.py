@@ -130,12 +130,12 @@ def promised_in_space(calibrated: CalibratedModel, rng: np.random.Generator, nam
     slopes = errors.slopes(model, calibrated.estimate, conditions)
     further = [slopes[:, :, len(calibrated.estimate) :] @ errors.spread, choice_errors(calibrated, conditions)]
     mean = calibrated.estimate + errors.offset, errors.about_mean(calibrated.covariance)
-    scales = by_scale(*mean, (model.prior_mean, model.prior_sd), strays(model))
-    for scale, n in zip(scales, rng.multinomial(ROBOT_DRAWS, [scale.probability for scale in scales]), strict=True):
-        root = errors.root(scale.covariance, scale.mean - calibrated.estimate)
+    probable, *scales = by_scale(*mean, (model.prior_mean, model.prior_sd), strays(model))
+    for share, at, covariance, n in zip(probable, *scales, rng.multinomial(ROBOT_DRAWS, probable), strict=True):
+        root = errors.root(covariance, at - calibrated.estimate)
         apart = np.concatenate([slopes @ root, *further], axis=2)
         left = _untaught(apart, taught)
-        variance += scale.probability * (left**2).sum(axis=(1, 2))
+        variance += share * (left**2).sum(axis=(1, 2))
         drawn = np.concatenate([np.ones((1, n)), rng.standard_normal((apart.shape[2] - 1, n))])
         of_nominal = away - _untaught(left, taught_nominal) @ drawn
         better += int((((left @ drawn) ** 2).sum(axis=(0, 1)) < (of_nominal**2).sum(axis=(0, 1))).sum())

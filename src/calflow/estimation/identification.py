@@ -23,7 +23,7 @@ from calflow.estimation.least_squares import LeastSquares, Loss
 from calflow.estimation.leverage import LeftOut, left_out
 from calflow.estimation.model_tables import IdentifySummary, fit_figures
 from calflow.estimation.needed_conditions import needed_conditions
-from calflow.estimation.noise import Noise, NoiseSource, averaged, conditions, noise_beside, representative
+from calflow.estimation.noise import Noise, NoiseSource, averaged, conditions, measured_noise, representative
 from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
 from calflow.estimation.registration import registered
 from calflow.files.problems import refuse
@@ -138,7 +138,7 @@ def fit_effects(
     data, train = data.on(robot), train.on(robot)
     nominal = build(robot, (), data.given, observed)
     error = leading_errors(nominal, nominal.nominal, data)
-    device = noise_beside(error, data, noise)
+    device = measured_noise(data, noise, nominal)
     doubts = doubts_of_repeats(data, error, tuple(source == "file" for source in device.sources))
     for doubt in doubts:
         say(doubt.words)

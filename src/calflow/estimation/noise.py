@@ -300,25 +300,17 @@ NoiseSource = Literal["auto", "repeats", "file", "estimated"]
 
 
 def measured_noise(data: Measurements, source: NoiseSource = "auto", nominal: Model | None = None) -> Noise:
-    """Return the noise of each series as `noise_beside` does; nominal is the nominal robot with the data's observations.
+    """Return the noise of each series from the best available source, or from the requested one.
+
+    Repeats are pooled over training poses: sigma² is the sum of squares about each pose's mean over its degrees of
+    freedom, after subtraction of the nominal prediction, so that joint readings may differ between repeats. Gross errors
+    are left out (see `scatter`). nominal is the nominal robot with the data's observations.
 
     Raises:
         InputError: the source asked for is not in the data.
     """
     nominal = observing(nominal or Model(data.robot, (), data.given), data)
-    return noise_beside(leading_errors(nominal, nominal.nominal, data), data, source)
-
-
-def noise_beside(error: np.ndarray, data: Measurements, source: NoiseSource = "auto") -> Noise:
-    """Return the noise of each series from the best available source, or from the requested one.
-
-    Repeats are pooled over training poses: sigma² is the sum of squares about each pose's mean over its degrees of
-    freedom, after subtraction of the nominal prediction, so that joint readings may differ between repeats. Gross errors
-    are left out (see `scatter`). error is the nominal robot's `leading_errors` (n_rows, n_axes).
-
-    Raises:
-        InputError: the source asked for is not in the data.
-    """
+    error = leading_errors(nominal, nominal.nominal, data)
     stated = stated_noise(data)
     sigma, sources, scattered = stated.sigma.copy(), list[Source](), repeats_scatter(data, error)
     for k, series in enumerate(data.series):

@@ -7,22 +7,12 @@ priors, each weighted by its marginal likelihood (MacKay 1992, Bayesian interpol
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+import scipy
 
 from calflow.model import Model
 
 SCALES = 2.0 ** np.arange(-5, 1.5, 0.5)  # factors of the prior standard deviations, equally probable a priori
-
-
-@dataclass(frozen=True, eq=False)
-class AtScale:
-    """The posterior mean (n,) and covariance (n, n) of the parameters with priors on one scale, and that scale's probability."""
-
-    probability: float
-    mean: np.ndarray
-    covariance: np.ndarray
 
 
 def strays(model: Model) -> np.ndarray:
@@ -35,8 +25,10 @@ def strays(model: Model) -> np.ndarray:
 
 def by_scale(
     estimate: np.ndarray, covariance: np.ndarray, prior: tuple[np.ndarray, np.ndarray], scaled: np.ndarray
-) -> tuple[AtScale, ...]:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the posterior of the parameters with some of the priors on each of `SCALES`, in any units.
+
+    These are the scales' probabilities (n_scales,), and the means (n_scales, n) and covariances (n_scales, n, n) at each.
 
     Args:
         estimate: the estimate (n,) with the priors as stated.
@@ -52,7 +44,7 @@ def by_scale(
     value, axes = np.linalg.eigh(covariance[np.ix_(free, free)] / np.outer(unit, unit))
     precision = (axes / np.clip(value, np.finfo(float).eps, 1.0)) @ axes.T
     pull, data = precision @ off, precision - np.eye(len(unit))
-    scales, evidence = [], []
+    means, covariances, evidence = [], [], []
     for scale in SCALES:
         size = np.where(scaled[free], scale, 1.0)
         # In units of the scaled priors the precision is at least 1, however narrow they are.
@@ -63,8 +55,6 @@ def by_scale(
         whole = np.zeros(covariance.shape)
         whole[np.ix_(free, free)] = posterior
         evidence.append(0.5 * (pull / unit) @ moved[free] + 0.5 * np.linalg.slogdet(inverse)[1])
-        scales.append((np.where(free, mean + moved, estimate), whole))
-    weight = np.exp(np.array(evidence) - max(evidence))
-    return tuple(
-        AtScale(float(share), *posterior) for share, posterior in zip(weight / weight.sum(), scales, strict=True)
-    )
+        means.append(np.where(free, mean + moved, estimate))
+        covariances.append(whole)
+    return scipy.special.softmax(evidence), np.array(means), np.array(covariances)
