@@ -289,26 +289,18 @@ def promised_variance(calibrated: CalibratedModel, data: Measurements, unit: Mea
     device = calibrated.noise(data).sigma[:, None] ** 2 if calibrated.noise_known else 0.0
     if unit == METRE and data.has_positions:
         return np.asarray(position_variance(calibrated, data.conditions) + device)
-    found = errors_in_unit(calibrated, data, unit)
-    there = np.isfinite(found.error)
-    return there * ((found.variance / np.maximum(there.sum(axis=1), 1))[:, None] + device)
+    error, variance, _ = errors_in_unit(calibrated, data, unit)
+    there = np.isfinite(error)
+    return there * ((variance / np.maximum(there.sum(axis=1), 1))[:, None] + device)
 
 
-@dataclass(frozen=True)
-class ErrorsInUnit:
-    """Predicted minus measured values of rows in a unit, nan where there are none, and what is expected of them.
+def errors_in_unit(
+    calibrated: CalibratedModel, data: Measurements, unit: MeasurementUnit
+) -> tuple[np.ndarray, np.ndarray, int]:
+    """Return predicted minus measured values of rows in a unit, their predictive variance, and degrees of freedom taken.
 
-    error (n_rows, 3 or more) [unit]; variance (n_rows,) [unit²]: summed over a row's values, without a known noise; taken: degrees
-    of freedom of the objects that the model lacked, which the rows placed.
-    """
-
-    error: np.ndarray
-    variance: np.ndarray
-    taken: int
-
-
-def errors_in_unit(calibrated: CalibratedModel, data: Measurements, unit: MeasurementUnit) -> ErrorsInUnit:
-    """Return the errors of rows in a unit, with their predictive variance.
+    The errors (n_rows, 3 or more) [unit] are nan where there are none; the variance (n_rows,) [unit²] is summed over a row's
+    values, without a known noise; the degrees of freedom are those of the objects that the model lacked, which the rows placed.
 
     An object that the model lacks (a socket, a surface) is placed by its own rows. Their errors are what that fit leaves, divided
     by the root of one minus the leverage (MacKinnon and White 1985, HC2); nan for a value that its object's place follows alone.
@@ -327,7 +319,7 @@ def errors_in_unit(calibrated: CalibratedModel, data: Measurements, unit: Measur
     slope, error = np.nan_to_num(slope), error / root
     of_parameters = np.einsum("nai,ij,naj->n", slope, calibrated.covariance, slope)
     left = calibrated.discrepancy[unit] if calibrated.noise_known else calibrated.noise(data).sigma
-    return ErrorsInUnit(error, of_parameters + np.isfinite(error).sum(axis=1) * left**2, basis.shape[1])
+    return error, of_parameters + np.isfinite(error).sum(axis=1) * left**2, basis.shape[1]
 
 
 def promised_distance(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
