@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calflow.estimation.field_gain import Nodes, blocks, field_summary, gain_of
+from calflow.estimation.field_gain import blocks, field_summary, gain_of
 from calflow.estimation.residual_field import SUMMARY, learnt, pose_table, read_field
 from calflow.files.tables import Results, to_document
 from robots import hh800
@@ -61,8 +61,7 @@ def test_noise_alone_is_never_corrected():
     for seed in range(20):
         rng = np.random.default_rng([5, seed])
         q = rng.uniform(LOW, HIGH, (40, 4))
-        nodes = Nodes(q, NOISE * rng.standard_normal((40, 3)), NOISE, 0.1)
-        found += gain_of(nodes, rng).gains
+        found += gain_of(q, NOISE * rng.standard_normal((40, 3)), NOISE, 0.1, rng).gains
     assert found == 0
 
 
@@ -72,7 +71,7 @@ def test_left_out_blocks_see_what_is_gained():
     block = blocks(q)
     assert np.bincount(block).min() >= 4
     assert np.mean([np.ptp(q[block == k], axis=0) < HIGH - LOW for k in range(block.max() + 1)]) > 0.5
-    gain = gain_of(Nodes(q, left, NOISE, 0.0), np.random.default_rng(7))
+    gain = gain_of(q, left, NOISE, 0.0, np.random.default_rng(7))
     assert gain.gains
     assert "not physical" in gain.statement
     assert np.mean(gain.corrected**2) < 0.5 * np.mean(gain.without**2)
@@ -82,7 +81,7 @@ def test_left_out_blocks_see_what_is_gained():
 def test_too_few_poses_are_said_to_be_too_few():
     """Fails if a field is learnt from a handful of poses."""
     q, left = drawn(12, 8)
-    gain = gain_of(Nodes(q, left, NOISE, 0.0), np.random.default_rng(9))
+    gain = gain_of(q, left, NOISE, 0.0, np.random.default_rng(9))
     assert not gain.gains
     assert "12 poses" in gain.statement
 
@@ -94,7 +93,7 @@ def test_a_run_folder_keeps_all_of_it():
     q = rng.uniform(-1, 1, (40, robot.n_joints))
     left = 1e-4 * np.stack([np.sin(3 * q[:, 0]), q[:, 1] ** 2, q[:, 2]], axis=1)
     own = learnt(q, left, 1e-5, 0.1, rng)
-    told = to_document(field_summary(own, gain_of(Nodes(q, left, 1e-5, 0.1), rng)))
+    told = to_document(field_summary(own, gain_of(q, left, 1e-5, 0.1, rng)))
     read = read_field(Results({"residual_field/poses.csv": pose_table(own, robot)}, {SUMMARY: told}), robot)
     assert read is not None
     there = rng.uniform(-1.2, 1.2, (50, robot.n_joints))

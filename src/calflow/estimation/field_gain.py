@@ -85,77 +85,64 @@ class FieldGain:
         return f"residual field ({NOT_PHYSICAL}) applied: at training poses left out of it {were}"
 
 
-@dataclass(frozen=True, eq=False)
-class Nodes:
-    """A field's training data: readings (n, n_joints), measured minus predicted left (n, 3) [m], noise [m], spent: see `learnt`."""
+TrainingPoses = tuple[np.ndarray, np.ndarray, float, float]  # readings, left, noise and spent, as for `learnt`
 
-    readings: np.ndarray
-    left: np.ndarray
-    noise: float
-    spent: float
 
-    @staticmethod
-    def of(calibrated: CalibratedModel, data: Measurements, rng: np.random.Generator) -> Nodes:
-        """Return the means over rows of the same readings; a random subset of very many poses."""
-        train = data.only(data.train)
-        left = -errors(calibrated.model, calibrated.estimate, train)
-        whole = ~np.isnan(left).any(axis=1)
-        train, left = train.only(whole), left[whole]
-        pose = train.table.groupby("pose", sort=False).ngroup().to_numpy()
-        joints = np.stack([np.bincount(pose, q) / np.bincount(pose) for q in train.joints.T], axis=1)[pose]
-        readings, group = np.unique(np.round(joints / ALIKE), axis=0, return_inverse=True)
-        count = np.maximum(np.bincount(group.ravel(), minlength=len(readings)), 1)
-        mean = np.stack([np.bincount(group.ravel(), axis, len(readings)) for axis in left.T], axis=1) / count[:, None]
-        sigma = calibrated.noise(train).sigma if calibrated.noise_known else np.zeros(len(train))
-        noise = np.sqrt(np.mean(np.nan_to_num(sigma) ** 2 / count[group.ravel()])) if len(train) else 0.0
-        some = np.sort(rng.permutation(len(readings))[:MAX_POSES])
-        return Nodes(ALIKE * readings[some], mean[some], float(noise), _spent(calibrated, train))
+def training_poses(calibrated: CalibratedModel, data: Measurements, rng: np.random.Generator) -> TrainingPoses:
+    """Return a field's training data: means over rows of the same readings, of a random subset of very many poses."""
+    train = data.only(data.train)
+    left = -errors(calibrated.model, calibrated.estimate, train)
+    whole = ~np.isnan(left).any(axis=1)
+    train, left = train.only(whole), left[whole]
+    pose = train.table.groupby("pose", sort=False).ngroup().to_numpy()
+    joints = np.stack([np.bincount(pose, q) / np.bincount(pose) for q in train.joints.T], axis=1)[pose]
+    readings, group = np.unique(np.round(joints / ALIKE), axis=0, return_inverse=True)
+    count = np.maximum(np.bincount(group.ravel(), minlength=len(readings)), 1)
+    mean = np.stack([np.bincount(group.ravel(), axis, len(readings)) for axis in left.T], axis=1) / count[:, None]
+    sigma = calibrated.noise(train).sigma if calibrated.noise_known else np.zeros(len(train))
+    noise = np.sqrt(np.mean(np.nan_to_num(sigma) ** 2 / count[group.ravel()])) if len(train) else 0.0
+    some = np.sort(rng.permutation(len(readings))[:MAX_POSES])
+    free = ~calibrated.at_bound
+    kept = np.diag(calibrated.covariance)[free] / calibrated.model.prior_sd[free] ** 2
+    equations = 3 * len(np.unique(conditions(train))) if len(train) else 1
+    return ALIKE * readings[some], mean[some], float(noise), float(np.clip(1 - kept, 0, 1).sum() / equations)
 
 
 def gainful_field(
     calibrated: CalibratedModel, data: Measurements, rng: Draws = SAME
 ) -> tuple[ResidualField | None, FieldGain]:
     """Return the residual field of a model's training rows, None where it gains nothing, and its gain."""
-    nodes = Nodes.of(calibrated, data, rng("nodes"))
-    gain = gain_of(nodes, rng("blocks"))
-    if not gain.gains:
-        return None, gain
-    return learnt(nodes.readings, nodes.left, nodes.noise, nodes.spent, rng("field")), gain
+    poses = training_poses(calibrated, data, rng("nodes"))
+    gain = gain_of(*poses, rng("blocks"))
+    return (learnt(*poses, rng("field")) if gain.gains else None), gain
 
 
-def gain_of(nodes: Nodes, rng: np.random.Generator) -> FieldGain:
+def gain_of(readings: np.ndarray, left: np.ndarray, noise: float, spent: float, rng: np.random.Generator) -> FieldGain:
     """Return the gain at blocks left out in turn, with hyperparameters and field learnt from the other blocks alone.
 
-    Blocks are contiguous in joint space, so that a left-out pose has no near duplicate among the others.
+    Blocks are contiguous in joint space, so that a left-out pose has no near duplicate among the others. The arguments are
+    those of `learnt`.
     """
-    n = len(nodes.readings)
+    n = len(readings)
     if n < MIN_POSES:
         return FieldGain(n, np.zeros(0, dtype=int), np.zeros(0), np.zeros(0))
-    block = blocks(nodes.readings)
+    block = blocks(readings)
     fold = block % min(FOLDS, block.max() + 1)
-    mean, variance = np.zeros_like(nodes.left), np.zeros(n)
+    mean, variance = np.zeros_like(left), np.zeros(n)
     for k in range(fold.max() + 1):
         out = fold == k
-        field = learnt(nodes.readings[~out], nodes.left[~out], nodes.noise, nodes.spent, rng)
-        mean[out] = field.correction(nodes.readings[out])
-        variance[out] = field.variance(nodes.readings[out]) + field.rest**2 - field.own**2
-    off = nodes.left - mean
+        field = learnt(readings[~out], left[~out], noise, spent, rng)
+        mean[out] = field.correction(readings[out])
+        variance[out] = field.variance(readings[out]) + field.rest**2 - field.own**2
+    off = left - mean
     covered = float((np.abs(off) < CERTAIN * np.sqrt(variance)[:, None]).mean())
-    return FieldGain(n, block, np.linalg.norm(nodes.left, axis=1), np.linalg.norm(off, axis=1), covered)
+    return FieldGain(n, block, np.linalg.norm(left, axis=1), np.linalg.norm(off, axis=1), covered)
 
 
 def blocks(readings: np.ndarray) -> np.ndarray:
     """Return each pose's block (n,), from 0, by halving the readings (n, n_joints) repeatedly along their widest axis."""
     scaled = readings / np.maximum(np.ptp(readings, axis=0), STILL)
     return halved(scaled, min(HALVINGS, int(np.log2(len(readings) / LEAST_POSES))))
-
-
-def _spent(calibrated: CalibratedModel, train: Measurements) -> float:
-    """Return the share of the rows' degrees of freedom that the parameters used."""
-    free = ~calibrated.at_bound
-    kept = np.diag(calibrated.covariance)[free] / calibrated.model.prior_sd[free] ** 2
-    equations = 3 * len(np.unique(conditions(train), return_index=True)[1]) if len(train) else 1
-    return float(np.clip(1 - kept, 0, 1).sum() / equations)
 
 
 def field_results(
