@@ -73,32 +73,23 @@ class ChainSummary:
 Quantity = Callable[[Model, np.ndarray], np.ndarray]  # (model, estimate) -> values of rows (n_rows, 3)
 
 
-@dataclass(frozen=True, eq=False)
-class PosteriorDraws:
-    """Draws from the posterior of a calibrated robot, over its parameters and its rival causes.
+def drawn(posterior: Posterior, number: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Return a number of a posterior's draws, at most all: points (n_draws, n_parameters + 1), and the rivals that act in each.
 
-    values (n_draws, n_parameters + 1) are draws of the chain, the last entry the log of the noise's factor. acts (n_draws,
-    n_alternatives) marks the draws in which a rival replaces the cause found, with its probability and independently.
+    The mask (n_draws, n_alternatives) says where a rival replaces the cause found, with its probability and independently.
     """
+    flat = posterior.points.reshape(-1, posterior.points.shape[-1])
+    points = flat[rng.choice(len(flat), size=min(number, len(flat)), replace=False)]
+    probable = [other.probability for other in posterior.calibrated.alternatives]
+    return points, rng.random((len(points), len(probable))) < probable
 
-    calibrated: CalibratedModel
-    values: np.ndarray
-    acts: np.ndarray
 
-    @staticmethod
-    def of(posterior: Posterior, number: int, rng: np.random.Generator) -> PosteriorDraws:
-        """Return a number of a posterior's draws, at most all."""
-        calibrated, flat = posterior.calibrated, posterior.points.reshape(-1, posterior.points.shape[-1])
-        values = flat[rng.choice(len(flat), size=min(number, len(flat)), replace=False)]
-        probable = [other.probability for other in calibrated.alternatives]
-        return PosteriorDraws(calibrated, values, rng.random((len(values), len(probable))) < probable)
-
-    def shifts(self, quantity: Quantity) -> np.ndarray:
-        """Return the change of a quantity of rows by the acting rivals, (n_draws, n_rows, 3)."""
-        model, alternatives = self.calibrated.model, self.calibrated.alternatives
-        current = quantity(model, self.calibrated.estimate)
-        rivals = [quantity(replace(other.model, given=model.given), other.estimate) for other in alternatives]
-        return np.einsum("dk,kri->dri", self.acts.astype(float), np.reshape(rivals, (-1, *current.shape)) - current)
+def shifts(calibrated: CalibratedModel, acts: np.ndarray, quantity: Quantity) -> np.ndarray:
+    """Return the change of a quantity of rows by the rivals that act in each draw, (n_draws, n_rows, 3); acts as of `drawn`."""
+    model = calibrated.model
+    current = quantity(model, calibrated.estimate)
+    rivals = [quantity(replace(other.model, given=model.given), other.estimate) for other in calibrated.alternatives]
+    return np.einsum("dk,kri->dri", acts.astype(float), np.reshape(rivals, (-1, *current.shape)) - current)
 
 
 def sensitivity(values: np.ndarray, log_density: np.ndarray) -> np.ndarray:
@@ -224,17 +215,18 @@ def predictive_table(posterior: Posterior, rng: np.random.Generator) -> pd.DataF
     unit = judged_unit(units)
     data = data.only(np.array([other == unit for other in units])[data.series_number])
     lengths = 1.0 if unit == METRE else np.nan
-    drawn = PosteriorDraws.of(posterior, DRAWS_KEPT, rng)
-    model, level = drawn.calibrated.model, np.exp(drawn.values[:, -1])
-    shifts = drawn.shifts(lambda model, estimate: errors(model, estimate, data))
-    by_parameters = errors_of_draws(model, drawn.values[:, :-1], data)
-    centre = (by_parameters + shifts).mean(axis=0)
-    deviation = by_parameters + shifts - centre
+    calibrated, (values, acts) = posterior.calibrated, drawn(posterior, DRAWS_KEPT, rng)
+    by_choice = shifts(calibrated, acts, lambda model, estimate: errors(model, estimate, data))
+    by_parameters = errors_of_draws(calibrated.model, values[:, :-1], data)
+    centre = (by_parameters + by_choice).mean(axis=0)
+    deviation = by_parameters + by_choice - centre
     covariance = np.einsum("dri,drj->rij", deviation, deviation) / max(len(deviation) - 1, 1)
-    of_choice, of_parameters = (np.nansum(part.var(axis=0), axis=1) for part in (shifts, by_parameters))
+    of_choice, of_parameters = (np.nansum(part.var(axis=0), axis=1) for part in (by_choice, by_parameters))
     total = of_choice + of_parameters
     error = unit.shown(distances(centre))
-    low, median, high = unit.scale * _quantiles(deviation, level, _remaining_sd(drawn.calibrated, data, unit), rng)
+    low, median, high = unit.scale * _quantiles(
+        deviation, np.exp(values[:, -1]), _remaining_sd(calibrated, data, unit), rng
+    )
     table = data.table[["pose", "repeat", "marker", "split"]].assign(
         error_mm=lengths * error, expected_mm=lengths * median, low_mm=lengths * low, high_mm=lengths * high,
         covered=(error >= low) & (error <= high),

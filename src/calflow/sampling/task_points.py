@@ -20,7 +20,7 @@ from calflow.files.units import RADIAN
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 from calflow.observations.pose import Pose
-from calflow.sampling.posterior import Posterior, PosteriorDraws, Quantity
+from calflow.sampling.posterior import Posterior, Quantity, drawn, shifts
 
 Slope = Callable[[Model, np.ndarray, np.ndarray], np.ndarray]  # (model, estimate, packed rows) -> Jacobian
 TASK_DRAWS = 1000
@@ -103,15 +103,15 @@ def point_errors(
         widened: further variance of positions [m²].
     """
     lean = posterior.calibrated.later(calibrated.model.given)
-    draws = replace(PosteriorDraws.of(posterior, TASK_DRAWS, rng), calibrated=lean)
-    factor = np.exp(2 * draws.values[:, -1])[:, None, None]  # of the noise's variance
+    draws, acts = drawn(posterior, TASK_DRAWS, rng)
+    factor = np.exp(2 * draws[:, -1])[:, None, None]  # of the noise's variance
 
     def errors(quantity: Quantity, slope: Slope, left: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         here = quantity(lean.model, lean.estimate)
-        drawn = np.array([quantity(lean.model, draw) for draw in draws.values[:, :-1]]) - here + draws.shifts(quantity)
+        off = np.array([quantity(lean.model, draw) for draw in draws[:, :-1]]) - here + shifts(lean, acts, quantity)
         size = np.sqrt(left + _held(calibrated, lean, conditions, slope))
-        alike = rng.standard_normal((len(drawn), 1, 3))
-        return drawn, size * rng.standard_normal(drawn.shape), size * alike
+        alike = rng.standard_normal((len(off), 1, 3))
+        return off, size * rng.standard_normal(off.shape), size * alike
 
     position = errors(
         lambda model, p: model.point(p, conditions),
