@@ -200,30 +200,19 @@ def _by_pose(fit: Fit, pose: np.ndarray) -> Iterator[np.ndarray]:
             continue
         block = block.at(np.argsort(pose[block.rows], kind="stable"))
         for part in block.parts(pose[block.rows]):
-            residual, jacobian = part.linearised(fit.estimate)
+            residual, jacobian = (of[:, lengths] for of in part.linearised(fit.estimate))
             _, first, count = np.unique(pose[part.rows], return_index=True, return_counts=True)
             for many in np.unique(count):
                 rows_of = first[count == many, None] + np.arange(many)
-                yield _left_out(
-                    residual[rows_of][..., lengths],
-                    jacobian[rows_of][:, :, lengths],
-                    part.covariance(rows_of),
-                    fit.covariance,
-                )
-
-
-def _left_out(residual: np.ndarray, jacobian: np.ndarray, spread: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Return these three for residuals (n_poses, n_rows, n_lengths), with their Jacobian and the covariance between rows."""
-    n_poses, _, n_lengths = residual.shape
-    residual = residual.reshape(n_poses, -1)
-    jacobian = jacobian.reshape(*residual.shape, len(covariance))
-    size = residual.shape[1]
-    spread = np.einsum("nij,ab->niajb", spread, np.eye(n_lengths)).reshape(n_poses, size, size)
-    weighed = np.linalg.solve(spread - jacobian @ covariance @ jacobian.transpose(0, 2, 1), spread)
-    missed = np.einsum("nji,nj->ni", weighed, residual)
-    return np.array(
-        [np.vecdot(missed, missed), np.einsum("nij,nij->n", spread, weighed), np.full(n_poses, float(size))]
-    )
+                error = residual[rows_of].reshape(len(rows_of), -1)
+                n_poses, size = error.shape
+                slopes = jacobian[rows_of].reshape(n_poses, size, -1)
+                spread = np.einsum("nij,ab->niajb", part.covariance(rows_of), np.eye(lengths.sum()))
+                spread = spread.reshape(n_poses, size, size)
+                weighed = np.linalg.solve(spread - slopes @ fit.covariance @ slopes.transpose(0, 2, 1), spread)
+                missed = np.einsum("nji,nj->ni", weighed, error)
+                expected = np.einsum("nij,nij->n", spread, weighed)
+                yield np.array([np.vecdot(missed, missed), expected, np.full(n_poses, float(size))])
 
 
 def halved(places: np.ndarray, levels: int) -> np.ndarray:
