@@ -124,7 +124,7 @@ def calflow(q: np.ndarray, xyz: np.ndarray, name: str) -> tuple[float, float, fl
     seconds = time.process_time() - started
     started = time.process_time()
     for _ in range(result.iterations + 1):
-        result.problem.reduced(result.estimate)
+        result.problem.r_factor(result.estimate)
     least = time.process_time() - started
     return seconds, 1e3 * float(np.linalg.norm(errors(model, result.estimate, heldout), axis=1).mean()), least
 

@@ -7,6 +7,7 @@ import pytest
 
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import averaged, stated_noise
+from calflow.estimation.probing import probed
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.series import BeamNoise, Series
 from calflow.model import build
@@ -42,7 +43,7 @@ def test_residuals_are_whitened_by_the_covariance(seen):
     """Fails if whitened residuals differ from Cholesky's by more than a rotation."""
     model, data = seen
     problem = LeastSquares.of(model, data, stated_noise(data))
-    residual, _ = problem.reduced(model.nominal)
+    residual, _ = probed(problem, model.nominal, ())
     error = model.position(model.nominal, data.conditions) - data.position
     whitened = np.array(
         [np.linalg.solve(np.linalg.cholesky(covariance(x)), e) for x, e in zip(data.position, error, strict=True)]
@@ -59,6 +60,6 @@ def test_a_mean_of_repeats_has_its_share_of_the_covariance(seen):
     many = Measurements(data.robot, table, series=data.series)
     means, noise = averaged(many, stated_noise(many))
     assert len(means) == 12
-    single = LeastSquares.of(model, data, stated_noise(data)).reduced(model.nominal)[0]
-    mean = LeastSquares.of(model, means, noise).reduced(model.nominal)[0]
+    single = probed(LeastSquares.of(model, data, stated_noise(data)), model.nominal, ())[0]
+    mean = probed(LeastSquares.of(model, means, noise), model.nominal, ())[0]
     np.testing.assert_allclose(mean, 2 * single, rtol=1e-6)

@@ -8,6 +8,7 @@ import pytest
 from calflow.estimation.fit import IntraclassLikelihood, fit
 from calflow.estimation.least_squares import LeastSquares, SeriesBlock
 from calflow.estimation.noise import measured_noise
+from calflow.estimation.probing import probed
 from calflow.sampling.log_posterior import LogPosterior, log_posterior_of
 from sampling.calibrations import SIGMA, Case, Design
 
@@ -62,7 +63,7 @@ def test_the_posterior_and_the_fit_are_of_one_likelihood(calibrations):
     assert isinstance(posterior, LogPosterior)
     assert laplace.variance == pytest.approx(1.0, abs=0.02)
     x = posterior.parameters(0.3 * np.random.default_rng(2).standard_normal((3, posterior.n_dimensions)))[:, :-1]
-    expected = [(posterior.problem.reduced(one)[0] ** 2).sum() for one in x]
+    expected = [(probed(posterior.problem, one, ())[0] ** 2).sum() for one in x]
     np.testing.assert_allclose(posterior.squares(x.T), expected, rtol=1e-9)
 
 
@@ -77,7 +78,7 @@ def test_one_marker_is_fitted_as_if_nothing_could_be_shared():
     plain = LeastSquares.of(known.model, train, noise)
     other = LeastSquares.of(known.model, train, type(noise)(**{**vars(noise), "intraclass": 0.5}))
     assert not any(block.intraclass for block in other.blocks)
-    for one, same in zip(plain.reduced(known.estimate), other.reduced(known.estimate), strict=True):
+    for one, same in zip(*(probed(problem, known.estimate, ()) for problem in (plain, other)), strict=True):
         assert (one == same).all()
 
 

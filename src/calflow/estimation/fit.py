@@ -91,11 +91,6 @@ class Fit:
         return self.problem.model
 
     @cached_property
-    def r_factor(self) -> np.ndarray:
-        """Householder's R factor of the Jacobian, (n_parameters, n_parameters): resolves directions that JᵀJ loses to round-off."""
-        return self.problem.reweighted(self.estimate, self.loss).reduced(self.estimate)[1]
-
-    @cached_property
     def at_bound(self) -> np.ndarray:
         """Which parameters sit on a bound, shape (n_parameters,)."""
         lower, upper = self.model.bounds.T

@@ -203,7 +203,7 @@ def _scale(fit: Fit, scaled: np.ndarray, largest: float) -> list[Statement]:
 
 
 def _scaled(fit: Fit) -> np.ndarray:
-    return fit.r_factor * fit.model.prior_sd
+    return fit.problem.reweighted(fit.estimate, fit.loss).r_factor(fit.estimate) * fit.model.prior_sd
 
 
 def _directions(

@@ -311,14 +311,16 @@ class LeastSquares:
             blocks.append(replace(block, whitening=block.whitening * np.sqrt(rho_slope(squared, loss))))
         return replace(self, blocks=tuple(blocks))
 
-    def reduced(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the stacked residuals (n,) at p, whitened and decorrelated, and Householder's R factor of their Jacobian."""
-        residuals, r_factor = [], np.zeros((0, len(p)))
+    def r_factor(self, p: np.ndarray) -> np.ndarray:
+        """Return Householder's R factor of the Jacobian at p, whitened and decorrelated, (n_parameters, n_parameters).
+
+        It resolves directions that JᵀJ loses to round-off.
+        """
+        factor = np.zeros((0, len(p)))
         for part in self.parts():
-            residual, jacobian = map(part.decorrelated, part.linearised(p))
-            residuals.append(residual.ravel())
-            r_factor = np.asarray(np.linalg.qr(np.vstack([r_factor, jacobian.reshape(-1, len(p))]), mode="r"))
-        return np.concatenate(residuals), r_factor
+            jacobian = part.decorrelated(part.linearised(p)[1])
+            factor = np.asarray(np.linalg.qr(np.vstack([factor, jacobian.reshape(-1, len(p))]), mode="r"))
+        return factor
 
 
 def sharing(observation: Observation, noise: Noise, data: Measurements) -> np.ndarray:
