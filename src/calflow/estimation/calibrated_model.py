@@ -13,7 +13,6 @@ from typing import Self
 
 import numpy as np
 
-from calflow.effects import Effect
 from calflow.effects.cause import Carried, Cause
 from calflow.estimation.accuracy import completed, error_jacobian, errors, judged_unit
 from calflow.estimation.error_model import ErrorModel, of_parameters
@@ -150,26 +149,18 @@ class CalibratedModel:
 
 def with_maps_held(calibrated: CalibratedModel) -> tuple[CalibratedModel, tuple[Cause, ...]]:
     """Return the model conditional on its causes with very many parameters, held at their estimates, and these causes."""
-    effects: list[Effect] = []
-    kept = [int(i) for observation in calibrated.model.observations for i in calibrated.model.columns(observation)]
-    held = []
-    for effect in calibrated.model.effects:
-        columns = calibrated.model.columns(effect)
-        if isinstance(effect, Cause) and len(columns) > MANY:
-            effects.append(Carried(effect.robot, effect, tuple(map(float, calibrated.estimate[columns]))))
-            held.append(effect)
-        else:
-            effects.append(effect)
-            kept += list(columns)
+    model, whole = calibrated.model, calibrated.covariance
+    held = [effect for effect in model.effects if isinstance(effect, Cause) and len(model.columns(effect)) > MANY]
     if not held:
         return calibrated, ()
-    rest = np.setdiff1d(np.arange(len(calibrated.estimate)), kept)
-    free = rest[~calibrated.at_bound[rest]]
-    whole = calibrated.covariance
+    values = {effect: tuple(map(float, calibrated.estimate[model.columns(effect)])) for effect in held}
+    effects = tuple(Carried(e.robot, e, values[e]) if e in values else e for e in model.effects)
+    gone = np.concatenate([*map(model.columns, held)])
+    kept, free = np.setdiff1d(np.arange(len(whole)), gone), gone[~calibrated.at_bound[gone]]
     given = whole[np.ix_(kept, free)] @ np.linalg.solve(whole[np.ix_(free, free)], whole[np.ix_(free, kept)])
     lean = replace(
         calibrated,
-        model=replace(calibrated.model, effects=tuple(effects)),
+        model=replace(model, effects=effects),
         estimate=calibrated.estimate[kept],
         covariance=whole[np.ix_(kept, kept)] - given,
         at_bound=calibrated.at_bound[kept],
