@@ -191,28 +191,9 @@ def beyond_measured(errors: ErrorModel, sizes: SmoothVariances, variance: np.nda
         sizes: what smooth errors there may be beside the model.
         variance: of each of their parts, (n_parts,).
     """
-    functions = [*_beyond_causes(sizes.result, sizes.data)]
-    further = errors.with_functions(functions, usual_sizes(sizes.result.model, functions))
-    return _beyond_time(further, sizes, _walks(sizes, variance))
-
-
-def _beyond_causes(result: Fit, data: Measurements) -> Iterator[SmoothFunction]:
-    """Yield the continuations of causes: of curves past their travel, and of warm-ups past the end."""
-    model = result.model
-    for cause in (effect for effect in model.effects if isinstance(effect, Cause)):
-        own, warming = model.columns(cause), cause.effect
-        if curve := Curve.of(cause, result.estimate[own], result.covariance[np.ix_(own, own)]):
-            at = curve.travel
-            yield BeyondTravel(data.robot, cause.joint - 1, at.low, at.high, at.length, curve.rms_elsewhere)
-        if isinstance(warming, Warming) and warming.constant and not warming.of_measuring():
-            growth, end = float(model.values(cause, result.estimate)[0]), float(data.table["time"].max())
-            once = replace(warming, pauses=()).figures_text
-            yield Cooling(data.robot, cause.id, once, cause.part, growth, end)
-
-
-def _beyond_time(errors: ErrorModel, sizes: SmoothVariances, left: dict[str, float]) -> ErrorModel:
-    """Return it with walks in time; left are those beside the model (see `_walks`)."""
-    result, data = sizes.result, sizes.data
+    result, data, left = sizes.result, sizes.data, _walks(sizes, variance)
+    further = [*_beyond_causes(result, data)]
+    errors = errors.with_functions(further, usual_sizes(result.model, further))
     # Which session it was says all of its frame: the next one's is placed anew.
     causes = [
         effect for effect in result.model.effects if effect.family == OF_THE_FRAME and "session" not in effect.needs
@@ -244,6 +225,20 @@ def _beyond_time(errors: ErrorModel, sizes: SmoothVariances, left: dict[str, flo
         slope /= sd[:, None]
         errors = errors.with_functions(come, sd, (slope @ (result.estimate + errors.offset), -slope))
     return errors
+
+
+def _beyond_causes(result: Fit, data: Measurements) -> Iterator[SmoothFunction]:
+    """Yield the continuations of causes: of curves past their travel, and of warm-ups past the end."""
+    model = result.model
+    for cause in (effect for effect in model.effects if isinstance(effect, Cause)):
+        own, warming = model.columns(cause), cause.effect
+        if curve := Curve.of(cause, result.estimate[own], result.covariance[np.ix_(own, own)]):
+            at = curve.travel
+            yield BeyondTravel(data.robot, cause.joint - 1, at.low, at.high, at.length, curve.rms_elsewhere)
+        if isinstance(warming, Warming) and warming.constant and not warming.of_measuring():
+            growth, end = float(model.values(cause, result.estimate)[0]), float(data.table["time"].max())
+            once = replace(warming, pauses=()).figures_text
+            yield Cooling(data.robot, cause.id, once, cause.part, growth, end)
 
 
 def _walks(sizes: SmoothVariances, variance: np.ndarray) -> dict[str, float]:
