@@ -19,7 +19,7 @@ from calflow.estimation.calibrated_model import (
 from calflow.estimation.noise import representative
 from calflow.files.deferred import pd
 from calflow.files.tables import column
-from calflow.files.units import METRE, MeasurementUnit
+from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements
 
 # Mean length of a vector of 0 to 3 standard normals.
@@ -145,16 +145,17 @@ def tested_rows(calibrated: CalibratedModel, data: Measurements, error: np.ndarr
     """
     rows = data.held_out & np.isfinite(error)
     rows[rows] = representative(data.only(rows))
-    held, unit = data.only(rows), calibrated.unit
-    limit = promised_limits(calibrated, held, unit) if rows.any() else np.zeros(0)
+    held = data.only(rows)
+    limit = promised_limits(calibrated, held) if rows.any() else np.zeros(0)
     return pd.DataFrame({"pose": held.table["pose"].to_numpy(), "error": error[rows], "limit": limit})
 
 
-def promised_limits(calibrated: CalibratedModel, data: Measurements, unit: MeasurementUnit) -> np.ndarray:
-    """Return the limit below which 95 % of a row's errors should lie, shape (n_rows,) [unit].
+def promised_limits(calibrated: CalibratedModel, data: Measurements) -> np.ndarray:
+    """Return the limit below which 95 % of a row's errors should lie, (n_rows,) in the unit by which the model is judged.
 
     The sum of squared normal errors along axes is approximated by a gamma variable of equal mean and variance (Satterthwaite 1946).
     """
+    unit = calibrated.unit
     variance = promised_variance(calibrated, data, unit)
     total = variance.sum(axis=1)
     freedom = total**2 / (variance**2).sum(axis=1)
@@ -179,8 +180,8 @@ def missed_poses(
         error = np.full(len(error), np.nan)
         error[largest] = by_pose.agg(lambda sizes: np.sqrt(np.mean(sizes**2)))
     worst = np.sort(largest[np.argsort(-error[largest], kind="stable")][:WORST])
-    rows, unit = data.only(np.isin(np.arange(len(data)), worst)), calibrated.unit
-    limits, table = promised_limits(calibrated, rows, unit), residuals.iloc[worst]
+    rows = data.only(np.isin(np.arange(len(data)), worst))
+    limits, table = promised_limits(calibrated, rows), residuals.iloc[worst]
     missed = [
         MissedPose(pose=str(pose), line=int(line), split=split, error=float(size), limit=float(limit))
         for pose, line, split, size, limit in zip(

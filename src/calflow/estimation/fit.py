@@ -282,7 +282,7 @@ def _reestimated(result: Fit, noise: Noise, evidence: Evidence) -> Noise:
             lack = _lack(result, rows[problem.row] & problem.leading, evidence)
             sigma[rows] = np.maximum(sigma[rows] * np.sqrt(lack.reduced_chi2), (LEAST_SCATTER * noise.usual)[rows])
     discrepancy = noise.discrepancy
-    for unit in problem.units:
+    for unit in dict.fromkeys(unit for block in problem.blocks for unit in block.observation.units):
         stated = problem.in_unit(unit) & (~noise.estimated[problem.row] | ~problem.leading)
         if stated.any():
             # Repeats determine the noise of the leading unit alone.

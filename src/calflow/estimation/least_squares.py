@@ -192,11 +192,6 @@ class LeastSquares:
                                       noise.intraclass if (np.diff(standstill) == 0).any() else 0.0))  # fmt: skip
         return LeastSquares(model, tuple(blocks))
 
-    @cached_property
-    def units(self) -> tuple[MeasurementUnit, ...]:
-        """The distinct units of the residuals."""
-        return tuple(dict.fromkeys(unit for block in self.blocks for unit in block.observation.units))
-
     @property
     def log_determinant(self) -> float:
         """Log-determinant of the covariance of the whitened residuals, which is 0 without correlation within standstills."""
