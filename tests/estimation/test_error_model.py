@@ -11,6 +11,7 @@ import pytest
 from calflow.deployment.prediction import predict_rows
 from calflow.effects.cause import Cause
 from calflow.effects.frame_drift import FrameDrift
+from calflow.effects.frame_step import FrameStep
 from calflow.effects.joint_error_map import JointErrorMap
 from calflow.effects.thermal_growth import ThermalGrowth
 from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise
@@ -215,6 +216,37 @@ def test_a_wander_that_is_named_goes_on_as_one_that_is_not(form):
     moved = before.moved(model, named.estimate, then)
     slopes = model.point_jacobian(named.estimate, then) - moved @ before.slope
     assert form is warming or slopes == pytest.approx(model.position_jacobian(named.estimate, end), abs=1e-9)
+
+
+def after_a_step(data, moved, moment):
+    """What is promised an hour on of a device that moved by so much (n, 3) in units of noise, with a step fitted over without."""
+    data = replace(data, table=data.table.assign(order=np.arange(1.0, len(data) + 1)))
+    data.table[["x", "y", "z"]] += SIGMA * moved
+    _, result, errors = fitted(data)
+    unnamed = promised(continued(errors, result, data), result, data, 3600.0)
+    model = build(data.robot, ("geometry",), data.given)
+    step = Cause(data.robot, FrameStep(data.robot, moment=moment), "device")
+    model = replace(model, effects=(*model.effects, step))
+    found = fit_reweighted(model, data, stated(data), model.nominal[None], "linear")[0]
+    beside = continued(ErrorModel.white(0.0, len(found.estimate)), found, data)
+    return float((promised(beside, found, data, 3600.0) / unnamed).mean())
+
+
+def test_a_step_is_not_promised_to_recur():
+    """Fails if a device that was moved once, and stood still before and after, is promised to walk."""
+    after = np.arange(POSES) >= 0.4 * POSES
+    assert after_a_step(wavering(4, 0.0), 8 * np.outer(after, [0.6, 0.0, -0.8]), 0.4 * POSES + 0.5) < 0.2
+
+
+def test_a_walk_that_looks_like_a_step_goes_on():
+    """Fails if a device that walked at random is promised to stand still since a step explains most of it, at its best moment."""
+    ratios, rows = [], np.arange(5, 35)
+    for seed in range(4, 10):
+        walk = np.random.default_rng(seed).standard_normal((40, 3)).cumsum(axis=0)
+        walk = (walk - walk.mean(axis=0)) / walk.std()
+        apart = [m * (40 - m) * ((walk[:m].mean(axis=0) - walk[m:].mean(axis=0)) ** 2).sum() for m in rows]
+        ratios.append(after_a_step(wavering(seed, 0.0, 40), walk, rows[np.argmax(apart)] + 0.5))
+    assert np.mean(ratios) > 0.8
 
 
 @pytest.mark.parametrize("held", [False, True])

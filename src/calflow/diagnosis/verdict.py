@@ -32,10 +32,9 @@ from calflow.effects.wording import UNEXPLAINED, NamedCause
 from calflow.estimation.calibrated_model import MANY, Alternative
 from calflow.estimation.leverage import UNSURE
 from calflow.estimation.needed_conditions import depended_on
+from calflow.estimation.variance_components import TEMPERED
 from calflow.model import Model
 
-# Exponent of the evidence for an unnamed error, whose form is itself a guess (tempered likelihood, Grünwald and van Ommen 2017).
-TEMPERED = 0.5
 CERTAIN = 1.96  # standard deviations of a 95 % interval
 INTERVAL = np.array([0.025, 0.975])  # quantiles at the ends of a 95 % interval
 DRAWS = 4000  # sizes drawn for an interval

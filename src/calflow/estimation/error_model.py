@@ -364,6 +364,14 @@ class SmoothVariances:
             self.part[smooth], len(self.kinds), beside.gram, beside.score, beside.chi2, freedom, floor
         )
 
+    @property
+    def cost(self) -> float:
+        """Minus twice the log evidence of model and accepted variances, comparable with that without some effects."""
+        free = np.flatnonzero(~self.result.at_bound)
+        sd = self.result.model.prior_sd[free]
+        told = self.equations.gram[np.ix_(free, free)] * np.outer(sd, sd) + np.eye(len(free))
+        return self.components.cost(self.accepted) + float(np.linalg.slogdet(told)[1])
+
     @cached_property
     def accepted(self) -> np.ndarray:
         """Each part's accepted variance, zero where it is not significant, (n_parts,)."""

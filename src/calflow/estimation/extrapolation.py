@@ -19,11 +19,12 @@ import scipy
 from calflow.effects.base import OF_THE_FRAME, Effect, JointError, Term, effect_class
 from calflow.effects.cause import Cause
 from calflow.effects.smooth_curve import Travel
+from calflow.effects.step_change import StepChange
 from calflow.effects.warming import Warming
 from calflow.estimation.error_model import ErrorModel, SmoothVariances, usual_sizes
 from calflow.estimation.fit import Fit
 from calflow.estimation.smooth_functions import SIZE, InTime, SmoothFunction, Wandering, in_time
-from calflow.estimation.variance_components import SIZES
+from calflow.estimation.variance_components import SIZES, TEMPERED
 from calflow.files.tables import column
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Dimensions, Row, State
@@ -183,8 +184,8 @@ def beyond_measured(errors: ErrorModel, sizes: SmoothVariances, variance: np.nda
     """Return an error model extended beyond the measurement: curves past their travel, and drifts as random walks in time.
 
     A cause of the device's frame is a drift, too: its walk has the variance estimated without that cause, and starts from the
-    cause's last value. During the measurement the cause describes it, and it is no error of the robot. A warm-up goes on, but
-    the robot may be switched off.
+    cause's last value; a step may be an event instead (see `_wandered`). During the measurement the cause describes it, and it is
+    no error of the robot. A warm-up goes on, but the robot may be switched off.
 
     Args:
         errors: the error model at the measured rows.
@@ -206,7 +207,7 @@ def beyond_measured(errors: ErrorModel, sizes: SmoothVariances, variance: np.nda
         # The order starts anew in each measurement.
         errors = errors.only(lambda function: not isinstance(function, InTime))
     begin, end = steps[0].begin, steps[-1].end
-    walks = _walks(apart := sizes.without(causes), apart.variance) if causes else left
+    walks = _wandered(sizes, causes) if causes else left
     for of, walk in walks.items():
         functions: list[SmoothFunction]
         if by_order:
@@ -239,6 +240,24 @@ def _beyond_causes(result: Fit, data: Measurements) -> Iterator[SmoothFunction]:
             growth, end = float(model.values(cause, result.estimate)[0]), float(data.table["time"].max())
             once = replace(warming, pauses=()).figures_text
             yield Cooling(data.robot, cause.id, once, cause.part, growth, end)
+
+
+def _wandered(sizes: SmoothVariances, causes: Sequence[Effect]) -> dict[str, float]:
+    """Return the walks (see `_walks`) of which causes of the device's frame are a part.
+
+    Steps are a part of a walk, or events beside one that do not recur: the mean square is weighted by the tempered evidence of
+    either, steps between any two rows being equally likely.
+    """
+    whole = sizes.without(causes)
+    walks = _walks(whole, whole.variance)
+    events = [cause for cause in causes if isinstance(cause, Cause) and isinstance(cause.effect, StepChange)]
+    if not events:
+        return walks
+    drifts = [cause for cause in causes if cause not in events]
+    beside = sizes.without(drifts) if drifts else sizes
+    odds = TEMPERED * (whole.cost - beside.cost) / 2 - len(events) * np.log(len(sizes.data))
+    share, left = scipy.special.expit(odds), _walks(beside, beside.variance)
+    return {of: float(np.sqrt((1 - share) * walk**2 + share * left[of] ** 2)) for of, walk in walks.items()}
 
 
 def _walks(sizes: SmoothVariances, variance: np.ndarray) -> dict[str, float]:

@@ -37,6 +37,8 @@ ACCEPTED_GAIN = 3.0  # least gain of twice the log-likelihood for a part to be a
 SIZES = 0.5 ** np.arange(-3.0, 6.0)  # over the usual size: from eight times to a thirtieth
 LOG_PRIOR = np.log(np.minimum(1.0, 1 / SIZES)) - np.log(np.minimum(1.0, 1 / SIZES).sum())
 HALF_NORMAL = np.exp(-(SIZES**2) / 2)
+# Exponent of the evidence for an unnamed error, whose form is itself a guess (tempered likelihood, Grünwald and van Ommen 2017).
+TEMPERED = 0.5
 PRIOR = HALF_NORMAL / HALF_NORMAL.sum()  # of SIZES, over USUAL's, for the posterior mean of a variance
 
 
