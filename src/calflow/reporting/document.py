@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import lru_cache, singledispatch
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -121,30 +121,51 @@ def _quoted(text: str) -> str:
     return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
 
 
-@singledispatch
 def markup(block: Block) -> str:
     """Return a block as typst markup."""
-    raise TypeError(f"no markup for {type(block).__name__}")
+    match block:
+        case Heading(text, 0):
+            return f"#title[{plain(text)}]"
+        case Heading(text, level):
+            return f"#heading(level: {level})[{plain(text)}]"
+        case Paragraph():
+            return _paragraph(block)
+        case Gap(points):
+            return f"#v({points}pt, weak: true)"
+        case Bullets():
+            return _bullets(block)
+        case Table():
+            return _table(block)
+        case Plot(name, caption=caption, width=width):
+            image = f'image("/figures/{name}.svg", width: {width}%)'
+            return f"#figure({image}, caption: [{plain(caption)}])" if caption else f"#{image}"
+        case Card():
+            cells = ", ".join(f"[{plain(text)}]" for text in (block.head, block.big, block.unit, block.small))
+            return f"#card({cells}{LOOKS[block.look]})"
+        case Columns(parts, widths, between):
+            cells = ",\n".join(map(_cell, parts))
+            return f"#grid(columns: ({_fractions(widths)},), column-gutter: {between}pt,\n{cells})"
+        case RestOfPage(blocks, steps):
+            listed = "".join(f"[{plain(step)}], " for step in steps)
+            return f"#rest-of-page(({listed}))[\n{_joined(blocks)}\n]"
+        case Divider(title, text):
+            return f"#divider([{plain(title)}], [{plain(text)}])"
+        case Signatures(names):
+            cells = ", ".join(f"[#line(length: 100%, stroke: 0.6pt) #text(8.8pt)[{plain(name)}]]" for name in names)
+            lines = f"grid(columns: ({_fractions([1] * len(names))},), column-gutter: 12mm, {cells})"
+            return f"#block(above: 16mm, below: 8mm, breakable: false, {lines})"
 
 
-@markup.register
-def _heading(block: Heading) -> str:
-    return f"#heading(level: {block.level})[{plain(block.text)}]" if block.level else f"#title[{plain(block.text)}]"
+def _fractions(widths: Sequence[float]) -> str:
+    return ", ".join(f"{width}fr" for width in widths)
 
 
-@markup.register
 def _paragraph(block: Paragraph) -> str:
     weight = ', weight: "bold"' if block.bold else ""
     markup = f"#par[#text({block.size}pt{weight})[{plain(block.text)}]]"
     return f"#block(sticky: true)[{markup}]" if block.keep else markup
 
 
-@markup.register
-def _gap(block: Gap) -> str:
-    return f"#v({block.points}pt, weak: true)"
-
-
-@markup.register
 def _bullets(block: Bullets) -> str:
     mark = "+" if block.numbered else "-"
     lines = [
@@ -155,7 +176,6 @@ def _bullets(block: Bullets) -> str:
     return f"#[{size}\n" + "\n".join(lines) + "\n]"
 
 
-@markup.register
 def _table(block: Table) -> str:
     columns = ", ".join("1fr" if i == block.wide else "auto" for i in range(len(block.header)))
     sides = ", ".join("right" if letter == "r" else "left" for letter in block.align)
@@ -180,46 +200,9 @@ def _table(block: Table) -> str:
     return f"#newspaper[\n{markup}\n]" if block.halved else markup
 
 
-@markup.register
-def _plot(block: Plot) -> str:
-    image = f'image("/figures/{block.name}.svg", width: {block.width}%)'
-    return f"#figure({image}, caption: [{plain(block.caption)}])" if block.caption else f"#{image}"
-
-
-@markup.register
-def _card(block: Card) -> str:
-    cells = ", ".join(f"[{plain(text)}]" for text in (block.head, block.big, block.unit, block.small))
-    return f"#card({cells}{LOOKS[block.look]})"
-
-
-@markup.register
-def _columns(block: Columns) -> str:
-    fractions = ", ".join(f"{width}fr" for width in block.widths)
-    cells = ",\n".join(_cell(part) for part in block.parts)
-    return f"#grid(columns: ({fractions},), column-gutter: {block.between}pt,\n{cells})"
-
-
 def _cell(part: Sequence[Block]) -> str:
     """Return a column as a cell of a grid; a card is a cell already."""
     return markup(part[0])[1:] if len(part) == 1 and isinstance(part[0], Card) else f"[{_joined(part)}]"
-
-
-@markup.register
-def _rest_of_page(block: RestOfPage) -> str:
-    steps = "".join(f"[{plain(step)}], " for step in block.steps)
-    return f"#rest-of-page(({steps}))[\n{_joined(block.blocks)}\n]"
-
-
-@markup.register
-def _signatures(block: Signatures) -> str:
-    fractions = ", ".join("1fr" for _ in block.names)
-    cells = ", ".join(f"[#line(length: 100%, stroke: 0.6pt) #text(8.8pt)[{plain(name)}]]" for name in block.names)
-    return f"#block(above: 16mm, below: 8mm, breakable: false, grid(columns: ({fractions},), column-gutter: 12mm, {cells}))"
-
-
-@markup.register
-def _divider(block: Divider) -> str:
-    return f"#divider([{plain(block.title)}], [{plain(block.text)}])"
 
 
 def _joined(blocks: Sequence[Block]) -> str:

@@ -13,7 +13,6 @@ import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import singledispatchmethod
 from html import escape
 from importlib.resources import files
 from pathlib import Path
@@ -152,34 +151,36 @@ class Page:
         """Return blocks joined in order."""
         return joined([self.of(block) for block in blocks])
 
-    @singledispatchmethod
     def of(self, block: Block) -> Html:
         """Return a block as HTML."""
-        raise TypeError(f"no HTML for {type(block).__name__}")
+        match block:
+            case Heading(text, level):
+                return element(f"h{level + 1}", text)
+            case Paragraph():
+                return _paragraph(block)
+            case Gap():
+                return Html()
+            case Bullets():
+                return _bullets(block)
+            case Table():
+                return self._table(block)
+            case Plot():
+                return self._plot(block)
+            case Card():
+                big = element("p", element("strong", block.big), f" {block.unit}", class_="big")
+                lines = element("p", block.head), big, element("p", block.small)
+                return element("div", *lines, class_=f"card {block.look}")
+            case Columns(parts):
+                cards = all(isinstance(inner, Card) for part in parts for inner in part)
+                beside = [element("div", self.all(part)) for part in parts]
+                return element("div", *beside, class_="cards" if cards else "columns")
+            case RestOfPage(blocks, steps):
+                return self.all([*blocks, *([Bullets(steps, numbered=True)] if steps else [])])
+            case Divider(_, text):
+                return element("p", text, class_="divider")
+            case Signatures(names):
+                return element("div", *(element("p", name) for name in names), class_="signatures")
 
-    @of.register
-    def _heading(self, block: Heading) -> Html:
-        return element(f"h{block.level + 1}", block.text)
-
-    @of.register
-    def _paragraph(self, block: Paragraph) -> Html:
-        large = "large" if block.size >= LARGE else "middle" if block.size >= MIDDLE else ""
-        looks = (large, "small" if block.size < SMALL else "", "strong" if block.bold else "")
-        return element("p", block.text, class_=" ".join(filter(None, looks)))
-
-    @of.register
-    def _gap(self, block: Gap) -> Html:
-        return Html()
-
-    @of.register
-    def _bullets(self, block: Bullets) -> Html:
-        items = [
-            element("li", element("strong", item[0]), " ", item[1]) if isinstance(item, tuple) else element("li", item)
-            for item in block.items
-        ]
-        return element("ol" if block.numbered else "ul", *items)
-
-    @of.register
     def _table(self, block: Table) -> Html:
         groups: list[list[Html]] = [[]]
         for k, row in enumerate(block.rows):
@@ -202,7 +203,6 @@ class Page:
         scroll = element("div", table, class_="scroll", tabindex=0)
         return element("div", scroll, element("p", save, class_="get"), class_="table")
 
-    @of.register
     def _plot(self, block: Plot) -> Html:
         drawing, columns = self._drawing(block), self.store.numbers(block.data)
         seen = element("div", drawing, class_="scroll", tabindex=0)
@@ -215,29 +215,6 @@ class Page:
         self.figures += 1
         number = element("strong", f"Figure {self.figures}.")
         return element("figure", seen, element("figcaption", number, " ", block.caption, " ", save))
-
-    @of.register
-    def _card(self, block: Card) -> Html:
-        big = element("p", element("strong", block.big), f" {block.unit}", class_="big")
-        return element("div", element("p", block.head), big, element("p", block.small), class_=f"card {block.look}")
-
-    @of.register
-    def _columns(self, block: Columns) -> Html:
-        cards = all(isinstance(inner, Card) for part in block.parts for inner in part)
-        parts = [element("div", self.all(part)) for part in block.parts]
-        return element("div", *parts, class_="cards" if cards else "columns")
-
-    @of.register
-    def _rest_of_page(self, block: RestOfPage) -> Html:
-        return self.all([*block.blocks, *([Bullets(block.steps, numbered=True)] if block.steps else [])])
-
-    @of.register
-    def _divider(self, block: Divider) -> Html:
-        return element("p", block.text, class_="divider")
-
-    @of.register
-    def _signatures(self, block: Signatures) -> Html:
-        return element("div", *(element("p", name) for name in block.names), class_="signatures")
 
     def _linked(self, cell: str) -> str:
         """Return a cell, as a link where it has a file."""
@@ -259,6 +236,20 @@ class Page:
             number += 1
         self.names.add(f"{name}_{number}")
         return f"{name}.csv" if number == 1 and name != "table" else f"{name}_{number}.csv"
+
+
+def _paragraph(block: Paragraph) -> Html:
+    large = "large" if block.size >= LARGE else "middle" if block.size >= MIDDLE else ""
+    looks = (large, "small" if block.size < SMALL else "", "strong" if block.bold else "")
+    return element("p", block.text, class_=" ".join(filter(None, looks)))
+
+
+def _bullets(block: Bullets) -> Html:
+    items = [
+        element("li", element("strong", item[0]), " ", item[1]) if isinstance(item, tuple) else element("li", item)
+        for item in block.items
+    ]
+    return element("ol" if block.numbered else "ul", *items)
 
 
 def scene(given: Scene, columns: Mapping[str, int], caption: str, drawing: Html) -> Html:
