@@ -23,8 +23,9 @@ from calflow.reporting.section import Section
 from calflow.reporting.style import ACCENT, ALONE, DARK, LIGHT, WIDTH, figure, panels
 from calflow.robot.parts import Parameter
 from calflow.sampling.log_posterior import LogPosterior, log_posterior_of
-from calflow.sampling.posterior import ChainSummary, told_by_prior
+from calflow.sampling.posterior import ChainSummary, PosteriorRow, told_by_prior
 
+SAMPLED = "sample/posterior.csv"
 BINS = 32
 SMOOTH = 0.7  # bins, of the density in a pair
 SHARES = (0.95, 0.68)  # of the posterior within contours
@@ -52,20 +53,20 @@ HELD = (
 NOISE = "The sampled noise is {:.2f} times that of the fit (95 % interval {:.2f} to {:.2f})."
 
 
-def traces(steps: np.ndarray, chain: np.ndarray, labels: Sequence[str], discard: int) -> Figure:
-    """Draw each ensemble's median and 95 % band over its walkers at each step.
+def traces(courses: pd.DataFrame, discard: int) -> Figure:
+    """Draw each ensemble's median and 95 % band over its walkers at each step; steps before discard were not used.
 
-    chain has shape (n_ensembles, n_steps, n_walkers, n_parameters); steps before discard were not used.
+    courses has columns parameter, ensemble, step, q025, median and q975.
     """
-    drawn, grid = panels(len(labels), 1, 0.5 + 0.95 * len(labels), sharex=True)
-    for k, (axes, label) in enumerate(zip(grid[:, 0], labels, strict=True)):
-        bands = np.quantile(chain[..., k], [0.5, 0.025, 0.975], axis=2)
+    every = courses.groupby("parameter", sort=False)
+    drawn, grid = panels(len(every), 1, 0.5 + 0.95 * len(every), sharex=True)
+    for axes, (parameter, course) in zip(grid[:, 0], every, strict=True):
         axes.axvspan(0, discard, color=LIGHT, alpha=0.6, linewidth=0)
-        for e, (colour, line, _) in zip(range(len(chain)), cycle(ALONE), strict=False):
-            for band, width in zip(bands, (0.9, 0.5, 0.5), strict=True):
-                named = f"ensemble {e + 1}" if k == 0 and width == 0.9 else None
-                axes.plot(steps, band[e], color=colour, linestyle=line, linewidth=width, label=named)
-        axes.set_ylabel(label)
+        for (ensemble, rows), (colour, line, _) in zip(course.groupby("ensemble"), cycle(ALONE), strict=False):
+            for name, width in (("median", 0.9), ("q025", 0.5), ("q975", 0.5)):
+                named = f"ensemble {ensemble}" if axes is grid[0, 0] and name == "median" else None
+                axes.plot(rows["step"], rows[name], color=colour, linestyle=line, linewidth=width, label=named)
+        axes.set_ylabel(str(parameter).replace(" [", "\n["))
         axes.margins(x=0)
         axes.locator_params(axis="y", nbins=4)
     grid[-1, 0].set_xlabel("step (grey: left out as burn-in)")
@@ -74,25 +75,23 @@ def traces(steps: np.ndarray, chain: np.ndarray, labels: Sequence[str], discard:
     return drawn
 
 
-def corner(draws: np.ndarray, labels: Sequence[str]) -> Figure:
-    """Draw the posterior of every pair of parameters; draws has shape (n_draws, n_parameters).
-
-    Grey is density; the lines enclose 68 % and 95 %.
-    """
+def corner(draws: pd.DataFrame) -> Figure:
+    """Draw the posterior of every pair of parameters, a column each: grey is density; lines enclose 68 % and 95 %."""
+    labels, values = [str(name).replace(" [", "\n[") for name in draws], draws.to_numpy()
     n = len(labels)
     drawn = figure(0.4 + 0.68 * n, 0.5 + 0.85 * n)
     drawn.set_layout_engine("constrained", w_pad=0.02, h_pad=0.02, wspace=0.02, hspace=0.02)
     grid = drawn.add_gridspec(n, n)
-    low, high = draws.min(axis=0), draws.max(axis=0)
+    low, high = values.min(axis=0), values.max(axis=0)
     ends = np.column_stack([low, high]) + np.outer(high - low, (-0.05, 0.05))
     for i in range(n):
         for j in range(i + 1):
             axes = drawn.add_subplot(grid[i, j], xlim=ends[j])
             axes.grid(visible=False)
             if i == j:
-                axes.hist(draws[:, i], BINS, histtype="stepfilled", color=LIGHT, edgecolor=DARK, linewidth=0.8)
+                axes.hist(values[:, i], BINS, histtype="stepfilled", color=LIGHT, edgecolor=DARK, linewidth=0.8)
             else:
-                _density(axes, draws[:, j], draws[:, i])
+                _density(axes, values[:, j], values[:, i])
             axes.locator_params(nbins=3)
             axes.tick_params(labelsize=6)
             axes.tick_params("x", labelrotation=30)
@@ -156,35 +155,28 @@ class ThinnedChain:
 
 def _posterior(material: Material) -> list[Block]:
     """Tabulate the checks, and draw traces and correlated pairs."""
-    posterior, summary = material.tables["sample/posterior.csv"], material.chain_summary
+    rows, summary = material.results.rows(SAMPLED, PosteriorRow), material.chain_summary
     model, held = material.sampled
-    free = ~model.at_bound
-    ratio = posterior["sd"].to_numpy(dtype=float)[: len(free)][free] / np.sqrt(np.diag(model.covariance))[free]
+    fitted = np.where(model.at_bound, np.nan, np.sqrt(np.diag(model.covariance)))
+    ratio = np.array([row.sd for row in rows])[: len(fitted)] / fitted
     return [
         Paragraph(INTRODUCTION + LINEAR * bool(model.errors.functions), keep=True),
-        Table(("check", "value", "criterion"), _checks(posterior, ratio, summary), "lll"),
+        Table(("check", "value", "criterion"), _checks(rows, ratio[np.isfinite(ratio)], summary), "lll"),
         *listing(cut_words(summary)),
-        *listing(prior_words(posterior)),
+        *listing(prior_words(material.tables[SAMPLED])),
         *([Paragraph(HELD.format(listed([cause_name(cause.id, cause.joint) for cause in held])))] if held else []),
-        *_chain(material),
-        *(
-            Paragraph(NOISE.format(q500, q025, q975))
-            for name, q025, q500, q975 in posterior[["parameter", "q025", "q500", "q975"]].to_numpy()
-            if name == "noise.factor"
-        ),
+        *(_chain(material, material.chain, rows) if material.chain else []),
+        *(Paragraph(NOISE.format(row.q500, row.q025, row.q975)) for row in rows if row.parameter == "noise.factor"),
     ]
 
 
-def _checks(posterior: pd.DataFrame, ratio: np.ndarray, summary: ChainSummary) -> list[tuple[str, str, str]]:
-    worst, least = posterior.sort_values("rhat").iloc[-1], posterior.sort_values("ess").iloc[0]
-    over = f"{np.nanmin(ratio):.2f} to {np.nanmax(ratio):.2f}" if len(ratio) else "every parameter is at a bound"
+def _checks(rows: Sequence[PosteriorRow], ratio: np.ndarray, summary: ChainSummary) -> list[tuple[str, str, str]]:
+    worst, least = max(rows, key=lambda row: row.rhat), min(rows, key=lambda row: row.ess)
+    over = f"{ratio.min():.2f} to {ratio.max():.2f}" if len(ratio) else "every parameter is at a bound"
+    criterion = f"below {ENSEMBLES_AGREE:g}"
     return [
-        (
-            "agreement of ensembles (largest R-hat)",
-            f"{worst['rhat']:.4f} ({worst['parameter']})",
-            f"below {ENSEMBLES_AGREE:g}",
-        ),
-        ("effective sample size (smallest)", f"{least['ess']:,.0f} ({least['parameter']})", "thousands"),
+        ("agreement of ensembles (largest R-hat)", f"{worst.rhat:.4f} ({worst.parameter})", criterion),
+        ("effective sample size (smallest)", f"{least.ess:,.0f} ({least.parameter})", "thousands"),
         ("ratio of sampled sd to that of the fit", over, "near 1"),
         *([("length", f"{summary.steps} steps", lengthen(summary))] if summary.missing_steps else []),
     ]
@@ -213,36 +205,26 @@ def prior_words(posterior: pd.DataFrame) -> list[str]:
     return [alone] * bool(assumed) + [partly] * bool(both)
 
 
-def _chain(material: Material) -> list[Block]:
-    if material.chain is None:
-        return []
-    posterior = material.tables["sample/posterior.csv"]
-    chain = ThinnedChain.read(material.chain, material)
-    names = posterior["parameter"].astype(str).tolist()
+def _chain(material: Material, path: Path, rows: Sequence[PosteriorRow]) -> list[Block]:
+    """Draw the chain's traces of the parameters that mix worst, and its draws of correlated ones, tabulated too."""
+    chain, names = ThinnedChain.read(path, material), [row.parameter for row in rows]
+    units = [readable(row.unit) for row in rows]
+    factors = np.array([factor for factor, _ in units])
     shown = [*short_names(material.sampled[0].model.parameters), names[-1]]
-    units = [readable(str(unit)) for unit in posterior["unit"]]
-
-    def labels(which: Sequence[int]) -> list[str]:
-        return [f"{shown[k]}\n[{units[k][1]}]" if units[k][1] else shown[k] for k in which]
-
-    def factors(which: Sequence[int]) -> np.ndarray:
-        return np.array([units[k][0] for k in which])
-
-    slow = np.argsort(posterior["ess"].to_numpy(dtype=float), kind="stable")[:TRACED].tolist()
-    traced = traces(chain.steps, chain.values(np.array(slow)) * factors(slow), labels(slow), chain.discard)
-    blocks: list[Block] = [Plot("traces", traced, TRACES, _courses(chain, slow, labels(slow), factors(slow)))]
+    labels = [f"{name} [{unit}]" if unit else name for name, (_, unit) in zip(shown, units, strict=True)]
+    slow = sorted(range(len(rows)), key=lambda k: rows[k].ess)[:TRACED]
+    courses = _courses(chain, slow, [labels[k] for k in slow], factors[slow])
+    blocks: list[Block] = [Plot("traces", traces(courses, chain.discard), TRACES, courses)]
     pairs = [names.index(name) for name in corner_names(material)]
     if len(pairs) > 1:
-        draws = chain.draws(np.array(pairs), CORNER_DRAWS) * factors(pairs)
-        drawn = corner(draws, labels(pairs))
-        some = draws[:: max(1, len(draws) // SAVED_DRAWS)]
-        thinned = pd.DataFrame(some, columns=[name.replace("\n", " ") for name in labels(pairs)])
-        width = round(100 * drawn.get_figwidth() / WIDTH)
-        rows = [_row(posterior.iloc[k]) for k in pairs]
+        draws = pd.DataFrame(chain.draws(np.array(pairs), CORNER_DRAWS) * factors[pairs])
+        draws.columns = [labels[k] for k in pairs]
+        drawn, thinned = corner(draws), draws[:: max(1, len(draws) // SAVED_DRAWS)]
+        header = ("parameter", "unit", "mean", "sd", "2.5 %", "median", "97.5 %")
         blocks += [
             Heading("Correlated parameters"),
-            Plot("corner", drawn, CORNER, thinned, width),
-            Table(("parameter", "unit", "mean", "sd", "2.5 %", "median", "97.5 %"), rows, "llrrrrr"),
+            Plot("corner", drawn, CORNER, thinned, round(100 * drawn.get_figwidth() / WIDTH)),
+            Table(header, [_row(rows[k]) for k in pairs], "llrrrrr"),
         ]
     return blocks
 
@@ -254,7 +236,7 @@ def _courses(chain: ThinnedChain, which: Sequence[int], labels: Sequence[str], f
     for e, k in np.ndindex(quantiles.shape[1], len(labels)):
         low, middle, high = quantiles[:, e, :, k]
         columns = {"step": chain.steps, "q025": low, "median": middle, "q975": high}
-        tables.append(pd.DataFrame({"parameter": labels[k].replace("\n", " "), "ensemble": e + 1, **columns}))
+        tables.append(pd.DataFrame({"parameter": labels[k], "ensemble": e + 1, **columns}))
     return pd.concat(tables)
 
 
@@ -264,8 +246,7 @@ def corner_names(outcome: RunOutcome) -> list[str]:
     names = [row.parameter for row in parameters if row.at_bound][:2]
     names += [name for pair in outcome.correlations for name in (pair.first, pair.second)]
     names += [row.parameter for row in parameters if row.effect == parameters[-1].effect]
-    path = "sample/posterior.csv"
-    sampled = set(outcome.tables[path]["parameter"] if path in outcome.results else names)
+    sampled = set(outcome.tables[SAMPLED]["parameter"] if SAMPLED in outcome.results else names)
     chosen = [name for name in dict.fromkeys(names) if name in sampled][:PAIRED]
     return [row.parameter for row in parameters if row.parameter in chosen]
 
@@ -279,11 +260,12 @@ def short_names(parameters: Sequence[Parameter]) -> list[str]:
     ]
 
 
-def _row(row: pd.Series) -> tuple[str, ...]:
-    factor, unit = readable(str(row["unit"]))
-    sd = factor * float(row["sd"])
-    cells = [with_sd(factor * float(row[name]), sd)[0] for name in ("mean", "q025", "q500", "q975")]
-    return (str(row["parameter"]), unit, cells[0], with_sd(0.0, sd)[1], *cells[1:])
+def _row(row: PosteriorRow) -> tuple[str, ...]:
+    factor, unit = readable(row.unit)
+    mean, *quantiles = (
+        with_sd(factor * value, factor * row.sd)[0] for value in (row.mean, row.q025, row.q500, row.q975)
+    )
+    return row.parameter, unit, mean, with_sd(0.0, factor * row.sd)[1], *quantiles
 
 
-POSTERIOR_SECTION = Section(75, "How sure: the sampled posterior", "sample/posterior.csv", _posterior)
+POSTERIOR_SECTION = Section(75, "How sure: the sampled posterior", SAMPLED, _posterior)
