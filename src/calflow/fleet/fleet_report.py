@@ -28,7 +28,7 @@ from calflow.population.common_causes import CommonCause
 from calflow.population.type_prior import FEWEST_ROBOTS
 from calflow.population.unlike import Unlike
 from calflow.reporting.blocks import NEXT, Block, Gap, Heading, Link, Paragraph, Part, Plot, RestOfPage, Table, headed
-from calflow.reporting.style import ACCENT, DARK, MIDDLE, figure, plain_decades
+from calflow.reporting.style import ACCENT, DARK, MIDDLE, chart, plain_decades
 from calflow.runs.kept import keep_results
 
 WHOSE = {"type": "the type's", "robot": "each robot's own", "cannot tell": "cannot tell"}
@@ -202,8 +202,7 @@ def _error_plot(worst: Sequence[Outcome], types: Sequence[str]) -> Plot:
     place = (data.groupby("type").cumcount() + 0.5) / count - 0.5  # across the band
     height = data["type"].map(types.index) + BAND * place
     errors = data[[before, after]].to_numpy()
-    drawn = figure(0.8 + min(0.36 * len(types), 3.2))
-    axes = drawn.add_subplot()
+    drawn, axes = chart(0.8 + min(0.36 * len(types), 3.2))
     axes.plot(data[before], height, "o", color=MIDDLE, mfc="none", label="before")
     axes.plot(data[after], height, "^", color=DARK, label="after")
     if (bad := ~data["usable"].fillna(True)).any():

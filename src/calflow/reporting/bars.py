@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from calflow.files.words import mm
-from calflow.reporting.style import ACCENT, DARK, LIGHT, MIDDLE, PLATE, figure, mark_floor, plain_decades
+from calflow.reporting.style import ACCENT, DARK, LIGHT, MIDDLE, PLATE, chart, mark_floor, plain_decades
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -65,8 +65,7 @@ def evidence(names: Sequence[str], evidence: np.ndarray, chances: Sequence[str],
 
 
 def _rows(names: Sequence[str]) -> tuple[Figure, Axes]:
-    drawn = figure(0.8 + ROW * len(names))
-    axes = drawn.add_subplot()
+    drawn, axes = chart(0.8 + ROW * len(names))
     axes.set_yticks(range(len(names)), names)
     axes.set_ylim(len(names) - 0.45, -0.55)
     axes.grid(axis="y", visible=False)

@@ -10,7 +10,7 @@ import numpy as np
 
 from calflow.files.units import METRE
 from calflow.files.words import number
-from calflow.reporting.style import ACCENT, crowded, dots, figure
+from calflow.reporting.style import ACCENT, crowded, dots, panels
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -33,8 +33,8 @@ def explained_figure(
     """
     if unit == "Nm" and np.abs(x).max() >= LARGE_MOMENT:
         x, unit = x / 1000, "kNm"
-    drawn = figure(2.15)
-    first, second, third = drawn.subplots(1, 3, sharey=True, width_ratios=(1.0, 1.0, 0.72))
+    drawn, (panels_of,) = panels(1, 3, 2.15, sharey=True, width_ratios=(1.0, 1.0, 0.72))
+    first, second, third = panels_of
     size = crowded(len(x))
     values, group = np.unique(np.round(x, 9), return_inverse=True)
     few = len(values) <= FEW_VALUES

@@ -9,7 +9,7 @@ from calflow.deployment.drift import Drift, Moved, Recalibrated, Status
 from calflow.files.words import first_up, listed, mm, plural, quantity, readable, rounded, with_sd
 from calflow.reporting.advice import after_drift
 from calflow.reporting.blocks import NEXT, Paragraph, Part, Plot, Table, cover, headed, in_a_line, noted
-from calflow.reporting.style import ACCENT, DARK, MIDDLE, figure, name_poses
+from calflow.reporting.style import ACCENT, DARK, MIDDLE, chart, name_poses
 
 VERDICTS: dict[Status, str] = {
     "in place": "Nothing has moved that these check poses could show.",
@@ -142,8 +142,7 @@ def _tested(drift: Drift) -> Table:
 
 def _check_poses(drift: Drift) -> Figure:
     """Draw each check pose's error, its expected size, and what remains after recalibration."""
-    drawn = figure(2.0)
-    axes = drawn.add_subplot()
+    drawn, axes = chart(2.0)
     at = np.arange(len(drift.poses))
     axes.bar(at, [pose.error_mm for pose in drift.poses], 0.6, color=MIDDLE, label="error now")
     expected = [2 * pose.expected_mm for pose in drift.poses]

@@ -9,15 +9,13 @@ from dataclasses import dataclass
 
 from calflow.reporting.blocks import Block
 from calflow.reporting.material import Material
-from calflow.study import StudyFile
 
 
 @dataclass(frozen=True)
 class Section:
     """A section of the report: its position, its function, and the table or document that it requires.
 
-    Anything else that it uses must come from the same stage. has_content: whether the results give it content; asked:
-    whether the study asks for it.
+    Anything else that it uses must come from the same stage. has_content: whether study and results give it content.
     """
 
     order: int
@@ -25,12 +23,10 @@ class Section:
     needs: str
     write: Callable[[Material], list[Block]]
     has_content: Callable[[Material], bool] = lambda material: True
-    asked: Callable[[StudyFile], bool] = lambda request: True
 
     def applies(self, material: Material) -> bool:
-        """Whether its table exists, the study asks for it, and it has content."""
-        is_there = not self.needs or self.needs in material.results
-        return is_there and self.asked(material.request) and self.has_content(material)
+        """Whether its table exists and it has content."""
+        return (not self.needs or self.needs in material.results) and self.has_content(material)
 
 
 def sections() -> list[Section]:

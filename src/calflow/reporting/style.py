@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 from unicodedata import east_asian_width
 
@@ -65,11 +65,13 @@ MOST_NAMED = 60  # points up to which each is labelled
 CELLED, CELLS = 150, 12  # points above which a map uses cells instead of dots, and the number of cells across
 
 
-def style() -> AbstractContextManager[None]:
-    """Return the context in which figures are made and saved."""
+@contextmanager
+def style() -> Iterator[None]:
+    """Make and save figures in this context, also as a decorator."""
     import matplotlib
 
-    return matplotlib.rc_context(SETTINGS)  # type: ignore[arg-type]
+    with matplotlib.rc_context(SETTINGS):  # type: ignore[arg-type]
+        yield
 
 
 def figure(height: float, width: float = WIDTH) -> Figure:
@@ -77,6 +79,12 @@ def figure(height: float, width: float = WIDTH) -> Figure:
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height))
+
+
+def chart(height: float, width: float = WIDTH) -> tuple[Figure, Axes]:
+    """Return a figure of a size [inches] with one pair of axes."""
+    drawn = figure(height, width)
+    return drawn, drawn.add_subplot()
 
 
 def turned(names: Sequence[str]) -> float:
@@ -117,11 +125,11 @@ def crowded(n_rows: int) -> float:
 
 def plain_decades(axis: Axis, low: float, high: float) -> None:
     """Label a logarithmic axis from low to high with plain numbers, more densely where the range is short."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+    from matplotlib.ticker import LogLocator
 
     axis.set_major_locator(LogLocator(subs=(1.0,) if high / low > 50 else (1.0, 2.0, 5.0)))
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axis.set_minor_formatter(NullFormatter())
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter("")
 
 
 def mark_floor(line: Callable[..., Any], floor: float | None, unit: str) -> None:

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 import scipy
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter
 
 from calflow.deployment.attained import CYCLES
 from calflow.deployment.validation import Status, ValidatedModel, Validation, ValidationSummary
@@ -15,7 +14,7 @@ from calflow.files.words import capped, mm, plural
 from calflow.reporting.advice import after_validation
 from calflow.reporting.blocks import NEXT, Card, Gap, Paragraph, Part, Plot, Table, cover, headed, in_a_line, noted
 from calflow.reporting.sections.acceptance import FAILED, NOT_YET, PASSED, sign_card
-from calflow.reporting.style import ACCENT, DARK, MIDDLE, figure, name_poses
+from calflow.reporting.style import ACCENT, DARK, MIDDLE, chart, name_poses
 
 NAMES = {
     "nominal": "nominal robot",
@@ -200,8 +199,7 @@ def _errors_by_pose(validation: Validation) -> Figure:
     """Draw the errors of every pose before and after in descending order, with the tolerance."""
     order, summary = np.argsort(-_judged_errors(validation), kind="stable"), validation.summary
     poses = [validation.poses[k] for k in order]
-    drawn = figure(2.2)
-    axes = drawn.add_subplot()
+    drawn, axes = chart(2.2)
     at = np.arange(len(poses))
     axes.plot(at, [pose.nominal for pose in poses], "o", color=MIDDLE, markersize=3, label="nominal")
     axes.plot(at, _judged_errors(validation)[order], "^", color=DARK, markersize=4, label=summary.judged)
@@ -211,7 +209,7 @@ def _errors_by_pose(validation: Validation) -> Figure:
             summary.tolerance, color=ACCENT, linestyle="--", label=f"tolerance {summary.tolerance:g} {summary.unit}"
         )
     axes.set(yscale="log", ylabel=f"error [{summary.unit}]")
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.yaxis.set_major_formatter("{x:g}")
     name_poses(axes, poses, after=", the largest error first")
     drawn.legend(loc="outside upper center", ncols=4)
     return drawn

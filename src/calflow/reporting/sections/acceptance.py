@@ -190,5 +190,5 @@ def _why(material: Material, verdict: Judged | None) -> list[Block]:
 
 
 ACCEPTANCE_SECTION = Section(
-    3, "Acceptance", "identify/residuals.csv", _acceptance, asked=lambda request: request.acceptance is not None
+    3, "Acceptance", "identify/residuals.csv", _acceptance, lambda material: material.request.acceptance is not None
 )

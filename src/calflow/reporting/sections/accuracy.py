@@ -24,7 +24,7 @@ from calflow.reporting.blocks import SPLITS, Block, Bullets, Paragraph, Plot, Ta
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
 from calflow.reporting.sections.verdict import named_steps, pose_errors
-from calflow.reporting.style import ACCENT, DARK, figure
+from calflow.reporting.style import ACCENT, DARK, chart
 
 NOISE_DRAWS = 200_000
 CHOICE = ", and the choice among causes that fit as well"
@@ -62,8 +62,7 @@ def distribution(
     sigma: noise of each row per axis [unit]; axes_of: each row's number of axes; rows without an error are omitted.
     """
     distance, held, sigma, axes_of = (values[np.isfinite(distance)] for values in (distance, held, sigma, axes_of))
-    drawn = figure(2.1)
-    axes = drawn.add_subplot()
+    drawn, axes = chart(2.1)
     rng = np.random.default_rng(0)
     drawn_rows = rng.integers(len(sigma), size=NOISE_DRAWS)
     noise = np.sort(sigma[drawn_rows] * np.sqrt(rng.chisquare(axes_of[drawn_rows])))

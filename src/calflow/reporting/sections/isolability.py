@@ -14,7 +14,7 @@ from calflow.reporting.advice import ISOLABILITY_TABLE
 from calflow.reporting.blocks import Block, Paragraph, Plot
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
-from calflow.reporting.style import DARK, LIGHT, WIDTH, figure
+from calflow.reporting.style import DARK, LIGHT, chart
 
 ROW, HIGHEST = 0.115, 7.0  # inches per cause, and of all together
 WIDE = 5.2  # inches of all columns
@@ -49,8 +49,7 @@ def apart_figure(table: pd.DataFrame) -> Figure:
     np.fill_diagonal(cells, SELF)
 
     high = float(np.clip(ROW * len(names), 1.0, HIGHEST))
-    drawn = figure(1.5 + high, WIDTH)
-    axes = drawn.subplots()
+    drawn, axes = chart(1.5 + high)
     edges = np.arange(len(names) + 1) - 0.5
     colours = ListedColormap(COLOURS)
     norm = BoundaryNorm(np.arange(5) - 0.5, 4)

@@ -19,7 +19,7 @@ from calflow.reporting.blocks import Block, Bullets, Heading, Paragraph, Plot, T
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
 from calflow.reporting.sections.verdict import statement_words
-from calflow.reporting.style import ACCENT, DARK, LIGHT, figure, turned
+from calflow.reporting.style import ACCENT, DARK, LIGHT, chart, turned
 from calflow.robot.frames import CONVENTIONS
 
 AT_BOUND = "at a bound, no sd"
@@ -84,8 +84,7 @@ def estimates(
             for middle, (_, number) in zip((edges[:-1] + edges[1:]) / 2, groups, strict=True)
         ]
     )
-    drawn = figure(2.0 + turned(names), max(6.7, 0.1 * edges[-1]))
-    axes = drawn.add_subplot()
+    drawn, axes = chart(2.0 + turned(names), max(6.7, 0.1 * edges[-1]))
     axes.axhspan(-1, 1, color=LIGHT, alpha=0.55, linewidth=0)
     axes.axhline(0, color="#444444", linewidth=0.6)
     bound = ~np.isfinite(sd)

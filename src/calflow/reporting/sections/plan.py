@@ -34,7 +34,7 @@ from calflow.reporting.blocks import (
 )
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
-from calflow.reporting.style import ACCENT, ALONE, DARK, MIDDLE, MOST_VECTOR_POINTS, figure, same_scale, view
+from calflow.reporting.style import ACCENT, ALONE, DARK, MIDDLE, MOST_VECTOR_POINTS, chart, figure, same_scale, view
 from calflow.robot.mechanism import reading_columns, reading_labels
 from calflow.robot.robot import Robot
 
@@ -75,8 +75,7 @@ VIAS = (
 
 def observability_figure(table: pd.DataFrame) -> Figure:
     """Draw the indices, each relative to its value with all poses."""
-    drawn = figure(2.3, 3.4)
-    axes = drawn.add_subplot()
+    drawn, axes = chart(2.3, 3.4)
     poses = table["n_poses"].to_numpy()
     for name, (colour, line, marker) in zip(INDICES, ALONE, strict=True):
         values = table[name].to_numpy(dtype=float)
@@ -91,8 +90,7 @@ def observability_figure(table: pd.DataFrame) -> Figure:
 
 def expected_error(table: pd.DataFrame, how_many: HowMany) -> Figure:
     """Draw the tool's expected sd [mm] against the number of poses, with the knee and the required tolerance."""
-    drawn = figure(2.3, 3.4)
-    axes = drawn.add_subplot()
+    drawn, axes = chart(2.3, 3.4)
     for (name, label), (colour, line, marker) in zip(CURVES.items(), ALONE, strict=False):
         axes.plot(
             table["n_poses"], table[name], color=colour, linestyle=line, marker=marker, markersize=2.5, label=label

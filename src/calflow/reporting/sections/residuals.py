@@ -146,20 +146,20 @@ def _residuals(material: Material) -> list[Block]:
     """Draw the residuals against place, in space and against joints, and tabulate outlying rows."""
     shown = _shown(material)
     some = f" {len(shown)} of {len(material.data)} rows are shown." if len(shown) < len(material.data) else ""
-    drawn = material.drawn_words
+    drawn, plots = material.drawn_words, Plots(material)
     directed, rows = _directed(material), by_row(material)
     enlarged = f", drawn {_factor(material):,.0f} times enlarged" if directed else " (lengths have no direction: dots)"
     return [
         Paragraph(INTRODUCTION, keep=True),
-        Plot("residuals_place", residuals_by_place(material), PLACE + drawn, rows),
+        Plot("residuals_place", plots.residuals_by_place(), PLACE + drawn, rows),
         Plot(
             "residuals_workspace",
-            residuals_in_space(material),
+            plots.residuals_in_space(),
             f"Errors in the measuring frame{enlarged}; the darker, the larger.{some}",
             rows,
             scene=_scene(material, shown) if material.unit == METRE else None,
         ),
-        Plot("residuals_joints", by_joint(material), JOINTS + drawn, rows),
+        Plot("residuals_joints", plots.residuals(), JOINTS + drawn, rows),
         *_flagged(material),
     ]
 
@@ -176,52 +176,41 @@ def by_row(material: Material) -> pd.DataFrame:
     return pd.DataFrame({**named, "held_out": material.held, **place, **readings, **error}).iloc[material.drawn]
 
 
-def residuals_by_place(material: Material) -> Figure:
-    """Draw the errors' size against reach, height and row."""
-    along = {
-        "horizontal distance from axis 1 [m]": from_the_side(material, material.place)[:, 0],
-        "height z [m]": material.place[:, 2],
-        "row of the file": np.arange(1, len(material.distance) + 1),
-    }
-    return against({f"error [{material.unit.label}]": material.distance}, along, material.held, material.drawn)
-
-
-def residuals_in_space(material: Material) -> Figure:
-    """Draw the errors in the workspace."""
-    position, shown = 1e3 * material.place, material.drawn[_shown(material)]
-    shown = shown[np.isfinite(material.distance[shown])]
-    error, distance, held = (values[shown] for values in (material.error, material.distance, material.held))
-    return in_workspace(position[shown], error, distance, held, _factor(material), material.unit.label)
-
-
-def by_joint(material: Material) -> Figure:
-    """Draw the errors against each joint's reading."""
-    robot = material.data.robot
-    readings = shown_readings(robot, material.data.joints)
-    along = dict(zip(reading_labels(robot), readings.T, strict=True))
-    return against(_components(material), along, material.held, material.drawn)
-
-
 @dataclass(frozen=True)
 class Plots:
     """Figures of Matplotlib; `.savefig(path)` writes one."""
 
     material: Material
 
+    @style()
     def residuals(self) -> Figure:
         """Draw the position errors against each joint's reading."""
-        with style():
-            return by_joint(self.material)
+        material, robot = self.material, self.material.data.robot
+        readings = shown_readings(robot, material.data.joints)
+        along = dict(zip(reading_labels(robot), readings.T, strict=True))
+        return against(_components(material), along, material.held, material.drawn)
 
+    @style()
     def residuals_by_place(self) -> Figure:
         """Draw the errors' size against reach, height and row."""
-        with style():
-            return residuals_by_place(self.material)
+        material = self.material
+        along = {
+            "horizontal distance from axis 1 [m]": from_the_side(material, material.place)[:, 0],
+            "height z [m]": material.place[:, 2],
+            "row of the file": np.arange(1, len(material.distance) + 1),
+        }
+        return against({f"error [{material.unit.label}]": material.distance}, along, material.held, material.drawn)
 
+    @style()
     def residuals_in_space(self) -> Figure:
         """Draw the errors in the workspace, enlarged."""
-        with style():
-            return residuals_in_space(self.material)
+        material = self.material
+        shown = material.drawn[_shown(material)]
+        shown = shown[np.isfinite(material.distance[shown])]
+        place, error, size, held = (
+            values[shown] for values in (1e3 * material.place, material.error, material.distance, material.held)
+        )
+        return in_workspace(place, error, size, held, _factor(material), material.unit.label)
 
 
 def _directed(material: Material) -> bool:

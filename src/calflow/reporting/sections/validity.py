@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
@@ -33,7 +34,8 @@ CAPTION = (
     "Expected error at {poses} drawn at random within the joints' limits (root mean square): the darker, the larger; from the "
     "side and from above. Crosses: measured poses."
 )
-SIDE = ("horizontal distance from axis 1 [m]", "height z [m]")
+SIDE = {"xlabel": "horizontal distance from axis 1 [m]", "ylabel": "height z [m]"}
+ABOVE = {"xlabel": "x [m]", "ylabel": "y [m]"}
 IN_REGION = (
     "Errors at poses {where}, before and now, seen from the side; each has its own scale: the darker, the larger. Left: distance "
     "between nominal and calibrated robot; right: expected error of the calibrated one."
@@ -122,51 +124,40 @@ def from_the_side(material: Material, place: np.ndarray) -> np.ndarray:
     return np.column_stack([np.hypot(*(place - base)[:, :2].T), place[:, 2]])
 
 
-@dataclass(frozen=True, eq=False)
-class Map:
-    """Sizes (n,) [mm] at places in a plane, seen (n, 2) [m], with axis labels; crosses (n, 2) mark other places."""
-
-    title: str
-    labels: tuple[str, str]
-    seen: np.ndarray
-    size: np.ndarray
-    crosses: np.ndarray | None = None
-
-
-def maps(several: Sequence[Map], label: str) -> Figure:
-    """Draw maps beside each other, each with its own scale; label: that of the sizes."""
-    drawn, (grid,) = panels(1, len(several), 2.7)
-    dark = shades(0.05)
-    for axes, shown in zip(grid, several, strict=True):
-        low, high = (float(np.quantile(shown.size, share)) for share in (0.02, 0.98))
-        norm = Normalize(low, max(high, 1.01 * low))
-        shade(axes, shown.seen, shown.size, dark, norm)
-        if shown.crosses is not None:
-            size = 1.5 * crowded(len(shown.crosses))
-            for colour, width in (("white", 1.5), ("black", 0.6)):  # visible on any shade
-                axes.scatter(*shown.crosses.T, marker="x", color=colour, s=size, linewidths=width)
-        axes.set(title=shown.title, xlabel=shown.labels[0], ylabel=shown.labels[1])
-        axes.set_aspect("equal", adjustable="datalim")
-        drawn.colorbar(ScalarMappable(norm, dark), ax=axes, fraction=0.06, pad=0.02, extend="max", label=label)
-    return drawn
+def draw_map(axes: Axes, seen: np.ndarray, size: np.ndarray, label: str, crosses: Sequence[np.ndarray] = ()) -> None:
+    """Draw sizes (n,) [mm] at places seen (n, 2) [m] on a scale of their own with its label; crosses (k, 2) mark others."""
+    low, high = (float(np.quantile(size, share)) for share in (0.02, 0.98))
+    norm, dark = Normalize(low, max(high, 1.01 * low)), shades(0.05)
+    shade(axes, seen, size, dark, norm)
+    for marked in crosses:
+        x, y = marked.T
+        for colour, width in (("white", 1.5), ("black", 0.6)):  # visible on any shade
+            axes.scatter(x, y, 1.5 * crowded(len(marked)), marker="x", color=colour, linewidths=width)
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.figure.colorbar(ScalarMappable(norm, dark), ax=axes, fraction=0.06, pad=0.02, extend="max", label=label)
 
 
 def before_and_now(material: Material, shown: Promised) -> Figure:
     """Draw the nominal robot's error and the calibrated one's expected error, from the side."""
-    seen = from_the_side(material, shown.place)
+    drawn, (grid,) = panels(1, 2, 2.7)
     sides = {"before: nominal robot": shown.nominal, "now: expected of the calibrated robot": shown.error}
-    return maps([Map(title, SIDE, seen, 1e3 * size) for title, size in sides.items()], "error [mm]")
+    for axes, (title, error) in zip(grid, sides.items(), strict=True):
+        axes.set(title=title, **SIDE)
+        draw_map(axes, from_the_side(material, shown.place), 1e3 * error, "error [mm]")
+    return drawn
 
 
 def over_the_workspace(material: Material, shown: Promised) -> Figure:
     """Draw the expected errors over the workspace, from the side and from above, with the measured poses."""
-    size = 1e3 * shown.error
-    side, measured = (from_the_side(material, place) for place in (shown.place, material.place))
-    views = [
-        Map("from the side", SIDE, side, size, measured),
-        Map("from above", ("x [m]", "y [m]"), shown.place[:, :2], size, material.place[:, :2]),
-    ]
-    return maps(views, "expected error [mm]")
+    drawn, (grid,) = panels(1, 2, 2.7)
+    views = (
+        ("from the side", SIDE, [from_the_side(material, place) for place in (shown.place, material.place)]),
+        ("from above", ABOVE, [shown.place[:, :2], material.place[:, :2]]),
+    )
+    for axes, (title, labels, (seen, *crosses)) in zip(grid, views, strict=True):
+        axes.set(title=title, **labels)
+        draw_map(axes, seen, 1e3 * shown.error, "expected error [mm]", crosses)
+    return drawn
 
 
 def as_rows(shown: Promised) -> pd.DataFrame:

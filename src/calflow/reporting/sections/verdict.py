@@ -49,7 +49,7 @@ from calflow.reporting.sections.acceptance import (
     verdict_card,
 )
 from calflow.reporting.sections.task import answer
-from calflow.reporting.style import ACCENT, DARK, LIGHT, figure, mark_floor
+from calflow.reporting.style import ACCENT, DARK, LIGHT, chart, mark_floor
 
 NOISE_UNKNOWN = "its noise is not known, so its share of the error is not known either"
 ALL_KNOWN = "Nothing: the data determine every parameter."
@@ -197,8 +197,8 @@ def pose_errors(material: Material, limits: pd.Series | None = None) -> Plot:
     """
     from matplotlib.ticker import MaxNLocator
 
-    drawn, unit, largest = figure(2.6, 3.3), material.certainty.unit, material.largest
-    axes, verdict, edges = drawn.add_subplot(), held_against_tolerance(material), np.arange(len(largest) + 1) + 0.5
+    unit, largest, verdict = material.certainty.unit, material.largest, held_against_tolerance(material)
+    (drawn, axes), edges = chart(2.6, 3.3), np.arange(len(largest) + 1) + 0.5
     axes.stairs(
         largest, edges, fill=True, facecolor=LIGHT, edgecolor=DARK, linewidth=0.6, label="largest error of each pose"
     )
