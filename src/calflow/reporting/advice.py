@@ -205,13 +205,10 @@ def _share_taken(outcome: RunOutcome) -> float:
 
 def does_not_carry_over(outcome: RunOutcome) -> Iterator[Advice]:
     """A model much worse at held-out poses was fitted to too few or too similar poses."""
-    rows = outcome.accuracy
-    train, held = (
-        [row for row in rows if (row.split, row.unit) == (split, rows[0].unit)] for split in ("train", "holdout")
-    )
+    train, held = outcome.steps_on("train"), outcome.steps_on("holdout")
     if not train or not held:
         return
-    fitted, unseen, unit = train[-1].figures[0], held[-1].figures[0], rows[0].unit
+    fitted, unseen, unit = train[-1].figures[0], held[-1].figures[0], held[-1].unit
     if unseen > WORSE * fitted:
         sentence = (
             f"The error at held-out poses is {ratio(unseen / fitted)} times that at fitted ones ({mm(unseen)} {unit} "
@@ -463,10 +460,8 @@ def second_marker(outcome: RunOutcome) -> Iterator[Advice]:
         return
     marker = markers[0]
     places = {row.parameter for row in outcome.identified_parameters if row.part == marker}
-    links: set[str] = set()
-    for trade in of_kind(outcome, "trade"):
-        members = places & set(trade.parameters)
-        links |= set(trade.parameters) - members if members else set()
+    trades = [set(trade.parameters) for trade in of_kind(outcome, "trade")]
+    links = {name for trade in trades if places & trade for name in trade - places}
     if links:
         sentence = (
             f"To separate {spoken(sorted(links), outcome, 3)} from the position of marker {marker}, measure two or three markers "

@@ -96,25 +96,6 @@ def _attribute(name: str, value: str | int | bool) -> str:
     return f' {name}="{escape(UNSPEAKABLE.sub("�", str(value)))}"'
 
 
-class Store:
-    """Distinct data columns by number, as `data.js` reads them."""
-
-    def __init__(self) -> None:
-        self._columns: dict[str, int] = {}
-
-    @property
-    def columns(self) -> list[dict[str, Any]]:
-        """All columns in the order of their numbers."""
-        return [json.loads(column) for column in self._columns]
-
-    def numbers(self, data: pd.DataFrame) -> dict[str, int]:
-        """Store a table's columns; return the number of each."""
-        return {str(name): self._number(json.dumps(packed(data[name]))) for name in data}
-
-    def _number(self, column: str) -> int:
-        return self._columns.setdefault(column, len(self._columns))
-
-
 def packed(values: pd.Series) -> dict[str, Any]:
     """Return a column in one of three encodings: distinct values with codes of one byte, four-byte floats, or texts."""
     codes, distinct = pd.factorize(values, use_na_sentinel=False)
@@ -140,12 +121,16 @@ def _encoded(array: np.ndarray) -> str:
 
 @dataclass
 class Page:
-    """HTML of blocks; pictures: drawings by plot name, store: their data, figures: number of captions so far."""
+    """HTML of blocks.
+
+    pictures: drawings by plot name; figures: number of captions so far; names: those of downloads; columns: the distinct
+    data columns as JSON with their numbers, as `data.js` reads them.
+    """
 
     pictures: Mapping[str, bytes]
     figures: int = 0
     names: set[str] = field(default_factory=set)
-    store: Store = field(default_factory=Store)
+    columns: dict[str, int] = field(default_factory=dict)
 
     def all(self, blocks: Iterable[Block]) -> Html:
         """Return blocks joined in order."""
@@ -204,7 +189,7 @@ class Page:
         return element("div", scroll, element("p", save, class_="get"), class_="table")
 
     def _plot(self, block: Plot) -> Html:
-        drawing, columns = self._drawing(block), self.store.numbers(block.data)
+        drawing, columns = self._drawing(block), self._stored(block.data)
         seen = element("div", drawing, class_="scroll", tabindex=0)
         if block.scene:
             seen = scene(block.scene, columns, block.caption, drawing)
@@ -228,6 +213,11 @@ class Page:
         width, height = (round(DOTS_PER_INCH * side) for side in block.drawn.get_size_inches())
         return element("img", src=_inside(self.pictures[block.name]), alt=block.caption or block.name.replace("_", " "),
                        width=width, height=height, class_="narrow" if width <= NARROW * DOTS_PER_INCH else "")  # fmt: skip
+
+    def _stored(self, data: pd.DataFrame) -> dict[str, int]:
+        """Store a table's columns; return the number of each."""
+        texts = {str(name): json.dumps(packed(data[name])) for name in data}
+        return {name: self.columns.setdefault(text, len(self.columns)) for name, text in texts.items()}
 
     def _named(self, name: str) -> str:
         """Return a file name for a download that is unique in the page."""
@@ -270,15 +260,9 @@ def scene(given: Scene, columns: Mapping[str, int], caption: str, drawing: Html)
     slides = [element("label", "errors × ", element("output", class_="factor"), factor)]
     slides += [element("label", "pose ", poses)] if given.arm else []
     controls = element("div", *buttons, *shows, *slides, class_="controls")
-    scene: dict[str, Any] = {
-        "columns": columns,
-        "shown": list(given.shown),
-        "factor": given.factor,
-        "told": list(given.told),
-    }
+    scene: dict[str, Any] = {"columns": columns, **vars(given)}
     if given.arm:
-        links = np.round(given.arm.links).astype(int).tolist()
-        scene["arm"] = {"links": links, "edges": list(given.arm.edges), "pose": list(given.arm.pose)}
+        scene["arm"] = {**vars(given.arm), "links": np.round(given.arm.links).astype(int).tolist()}
     return element(
         "div",
         canvas,
@@ -334,15 +318,13 @@ def _small(picture: Image.Image) -> bytes:
 
 
 def write_html(title: str, parts: Sequence[Part], folder: Path) -> None:
-    """Write report.html into a folder that has the drawings in figures/."""
-    write_text(folder / "report.html", page(title, parts, folder / "figures"))
+    """Write report.html into a folder that has the drawings in figures/.
 
-
-def page(title: str, parts: Sequence[Part], figures: Path) -> str:
-    """Return the page; the first part precedes the table of contents and has no heading."""
+    The first part precedes the table of contents and has no heading.
+    """
     drawn = [plot.name for _, blocks_of in parts for plot in plots(blocks_of)]
     small = sorted(set().union(*(thumbnails(blocks_of) for _, blocks_of in parts)))
-    blocks = Page(pictures(figures, drawn) | pictures(figures.parent, small, OF_SMALL))
+    blocks = Page(pictures(folder / "figures", drawn) | pictures(folder, small, OF_SMALL))
     (_, first), *others = parts
     begin = element("header", blocks.all(first))
     body = [section(k, name, blocks.all(blocks_of)) for k, (name, blocks_of) in enumerate(others, start=1)]
@@ -354,15 +336,18 @@ def page(title: str, parts: Sequence[Part], figures: Path) -> str:
         element("title", title),
         element("style", style),
     ]
-    numbers = element("script", as_json(blocks.store.columns), type="application/json", class_="numbers")
+    numbers = element(
+        "script", as_json([json.loads(column) for column in blocks.columns]), type="application/json", class_="numbers"
+    )
     parts_of_page = [begin, contents([name for name, _ in others]), element("main", Html("\n"), joined(body)), numbers]
-    return "<!doctype html>\n" + element(
+    html = element(
         "html",
         element("head", joined(head)),
         Html("\n"),
         element("body", joined(parts_of_page), *(element("script", script) for script in scripts)),
         lang="en",
     )
+    write_text(folder / "report.html", f"<!doctype html>\n{html}")
 
 
 def _policy(style: str, scripts: Sequence[str]) -> str:

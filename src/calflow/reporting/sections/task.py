@@ -129,7 +129,7 @@ def _task(material: Material) -> list[Block]:
         return []
     path = "sample/task.csv"
     points, words = material.results.rows(path, TaskPoint), answer(task)
-    groups, data = by_payload(points), material.tables[path]
+    groups, data = _by_payload(points), material.tables[path]
     return [
         Paragraph(INTRODUCTION, keep=True),
         *([Paragraph(words, bold=True)] if words else []),
@@ -142,7 +142,7 @@ def _task(material: Material) -> list[Block]:
     ]
 
 
-def by_payload(points: Sequence[TaskPoint]) -> Groups:
+def _by_payload(points: Sequence[TaskPoint]) -> Groups:
     """Return the points under each of the payloads with the largest radii, in descending order of these."""
     groups: dict[str, list[TaskPoint]] = {}
     for point in sorted(points, key=lambda point: -point.radius95_mm):
