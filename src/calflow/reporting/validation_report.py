@@ -106,13 +106,9 @@ def _iso(summary: ValidationSummary) -> list[str]:
     worst = f"the worst of {plural(summary.poses, 'pose')}"
     if summary.cube_edge_mm:
         worst += f", those of the standard's cube of {summary.cube_edge_mm:.0f} mm"
-    if summary.rp_mm is None:
-        return [
-            f"ISO 9283: pose accuracy AP {mm(summary.ap_mm)} mm ({worst}); no repeatability, as no pose was measured twice."
-        ]
-    return [
-        f"ISO 9283: pose accuracy AP {mm(summary.ap_mm)} mm, pose repeatability RP {mm(summary.rp_mm)} mm ({worst})."
-    ]
+    repeats = "" if summary.rp_mm is None else f", pose repeatability RP {mm(summary.rp_mm)} mm"
+    once = "; no repeatability, as no pose was measured twice" if summary.rp_mm is None else ""
+    return [f"ISO 9283: pose accuracy AP {mm(summary.ap_mm)} mm{repeats} ({worst}){once}."]
 
 
 def _probability(summary: ValidationSummary) -> str:
@@ -156,11 +152,8 @@ def _frame(summary: ValidationSummary) -> str:
     if summary.station == "fitted":
         lost = f"{plural(summary.frames, 'frame')}, {summary.freedom_lost} degrees of freedom lost"
         return f"the device's frame was fitted ({lost}); errors are enlarged by what the fit took"
-    fits = (
-        ""
-        if summary.moved_mm is None
-        else f"; the motion that fits best would move these points by {mm(summary.moved_mm)} mm"
-    )
+    moved = f"; the motion that fits best would move these points by {mm(summary.moved_mm or 0.0)} mm"
+    fits = "" if summary.moved_mm is None else moved
     return f"the device stood where it stood in the calibration{fits}"
 
 
@@ -177,22 +170,18 @@ def _poses(validation: Validation) -> Table:
     """Return one row per point."""
     commanded = "commanded" in [row.model for row in validation.accuracy]
     unit, judged = validation.summary.unit, validation.summary.tolerance is not None
-    errors = [f"nominal [{unit}]", f"calibrated [{unit}]", *["command [mm]"] * commanded]
-    repeats = ["RP [mm]"] * validation.summary.of_positions
-    header = ["pose", "marker", "rows", *errors, f"expected sd [{unit}]", *repeats, *["within"] * judged]
-    rows = []
-    for pose in validation.poses:
-        sizes = [
-            pose.nominal,
-            pose.calibrated,
-            *[pose.commanded_mm] * commanded,
-            pose.promised,
-            *[pose.rp_mm] * len(repeats),
-        ]
-        within = {None: "", True: "yes", False: "no"}[pose.within]
-        rows.append([pose.pose, pose.marker, str(pose.rows), *map(mm, sizes), *[within] * judged])
+    sizes = {f"nominal [{unit}]": "nominal", f"calibrated [{unit}]": "calibrated"}
+    sizes |= {"command [mm]": "commanded_mm"} if commanded else {}
+    sizes |= {f"expected sd [{unit}]": "promised"}
+    sizes |= {"RP [mm]": "rp_mm"} if validation.summary.of_positions else {}
+    header = ["pose", "marker", "rows", *sizes, *["within"] * judged]
+    rows = [
+        [pose.pose, pose.marker, str(pose.rows), *(mm(getattr(pose, name)) for name in sizes.values()),
+         *[{None: "", True: "yes", False: "no"}[pose.within]] * judged]
+        for pose in validation.poses
+    ]  # fmt: skip
     beyond = frozenset(k for k, pose in enumerate(validation.poses) if pose.within is False)
-    return Table(header, rows, "ll" + "r" * (len(header) - 2 - judged) + "l" * judged, beyond)
+    return Table(header, rows, "ll" + "r" * (1 + len(sizes)) + "l" * judged, beyond)
 
 
 def _errors_by_pose(validation: Validation) -> Figure:

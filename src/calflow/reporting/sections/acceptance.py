@@ -60,11 +60,8 @@ class Judged:
     @property
     def share(self) -> float:
         """Lower bound, with 95 % confidence, of the share of such poses within tolerance (Clopper and Pearson 1934)."""
-        return (
-            float(scipy.stats.beta.ppf(1 - CONFIDENCE, self.within, self.poses - self.within + 1))
-            if self.within
-            else 0.0
-        )
+        beyond = self.poses - self.within
+        return float(scipy.stats.beta.ppf(1 - CONFIDENCE, self.within, beyond + 1)) if self.within else 0.0
 
     @property
     def share_words(self) -> str:
@@ -80,10 +77,9 @@ class Judged:
 def _facts(request: StudyFile) -> dict[str, str]:
     """Return the facts that a signature requires, as the study states them, empty where it does not."""
     asked = request.acceptance or Acceptance.model_construct()
-    date = asked.date.isoformat() if asked.date else ""
     return {
         "serial number": asked.serial_number,
-        "date": date,
+        "date": asked.date.isoformat() if asked.date else "",
         "instrument": asked.instrument,
         "operator": asked.operator,
     }

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
@@ -18,6 +20,7 @@ from calflow.files.deferred import pd
 from calflow.files.words import cut, first_up, listed, mm, number, percent, plural
 from calflow.reporting.advice import ISOLABILITY_TABLE as ISOLABILITY
 from calflow.reporting.blocks import (
+    NEXT,
     Block,
     Bullets,
     Card,
@@ -30,6 +33,7 @@ from calflow.reporting.blocks import (
     RestOfPage,
     Table,
     cover,
+    headed,
     in_a_line,
 )
 from calflow.reporting.material import Material
@@ -73,16 +77,21 @@ VIAS = (
 )
 
 
-def observability_figure(table: pd.DataFrame) -> Figure:
-    """Draw the indices, each relative to its value with all poses."""
+def over_number(curves: pd.DataFrame, label: str) -> tuple[Figure, Axes]:
+    """Draw curves, a column each, against the number of poses, their index; label: that of their values."""
     drawn, axes = chart(2.3, 3.4)
-    poses = table["n_poses"].to_numpy()
-    for name, (colour, line, marker) in zip(INDICES, ALONE, strict=True):
-        values = table[name].to_numpy(dtype=float)
-        if np.isfinite(values[-1]) and values[-1] != 0:
-            axes.plot(poses, values / values[-1], color=colour, linestyle=line, marker=marker, markevery=max(1, len(poses) // 8),
-                      markersize=3, label=name)  # fmt: skip
-    axes.set(xlabel="number of poses", ylabel="observability index\n[relative to all poses]", ylim=(0, None))
+    for name, (colour, line, marker) in zip(curves, ALONE, strict=False):
+        look: dict[str, Any] = {"color": colour, "linestyle": line, "marker": marker, "markersize": 2.5}
+        axes.plot(curves[name], markevery=max(1, len(curves) // 8), label=name, **look)
+    axes.set(xlabel="number of poses", ylabel=label, ylim=(0, None))
+    return drawn, axes
+
+
+def observability_figure(table: pd.DataFrame) -> Figure:
+    """Draw the indices, each relative to its value with all poses, where there is one."""
+    indices = table.set_index("n_poses")[list(INDICES)].astype(float)
+    relative = (indices / indices.iloc[-1].replace(0, np.nan)).dropna(axis="columns", how="all")
+    drawn, axes = over_number(relative, "observability index\n[relative to all poses]")
     if axes.lines:  # too few poses have no index
         axes.legend(ncols=2)
     return drawn
@@ -90,15 +99,11 @@ def observability_figure(table: pd.DataFrame) -> Figure:
 
 def expected_error(table: pd.DataFrame, how_many: HowMany) -> Figure:
     """Draw the tool's expected sd [mm] against the number of poses, with the knee and the required tolerance."""
-    drawn, axes = chart(2.3, 3.4)
-    for (name, label), (colour, line, marker) in zip(CURVES.items(), ALONE, strict=False):
-        axes.plot(
-            table["n_poses"], table[name], color=colour, linestyle=line, marker=marker, markersize=2.5, label=label
-        )
+    curves = table.set_index("n_poses")[list(CURVES)].rename(columns=CURVES)
+    drawn, axes = over_number(curves, "expected sd of the tool [mm]")
     axes.axvline(how_many.knee_poses, color=MIDDLE, linestyle=":", linewidth=0.9, label="knee")
     if how_many.tolerance_mm is not None:
         axes.axhline(how_many.tolerance_mm, color=DARK, linewidth=0.8, label="tolerance")
-    axes.set(xlabel="number of poses", ylabel="expected sd of the tool [mm]", ylim=(0, None))
     axes.legend()
     return drawn
 
@@ -130,10 +135,6 @@ def _plan(material: Material) -> list[Block]:
         Card(plural(how_many.n_poses, "pose"), mm(expected), f"where least sure {mm(largest)} mm", "dark"),
         *(Card(first_up(row.addition), mm(row.expected_sd_mm), f"{row.gain_percent:.0f} % less") for row in worth[1:3]),
     ]
-    lists: list[tuple[str, list[Item]]] = [
-        ("Causes that these poses cannot distinguish, and what would help", _gaps(material)),
-        ("What to do next", _next_things(how_many, worth)),
-    ]
     return [
         *cover("Measurement plan", material.title, [Paragraph(_planned(material))], _plan_verdict(how_many), (), cards),
         Columns(
@@ -142,7 +143,10 @@ def _plan(material: Material) -> list[Block]:
             [1, 1],
         ),
         Gap(10),
-        RestOfPage([block for title, lines in lists for block in (Heading(title), Bullets(lines, None))]),
+        RestOfPage([
+            *headed("Causes that these poses cannot distinguish, and what would help", Bullets(_gaps(material), None)),
+            *headed(NEXT, Bullets(_next_things(how_many, worth), None)),
+        ]),
     ]  # fmt: skip
 
 
@@ -163,13 +167,9 @@ def _how_many_words(how_many: HowMany) -> list[Item]:
     ]
     if how_many.tolerance_mm is None:
         return items
-    asked = f"{mm(how_many.tolerance_mm)} mm"
-    if how_many.enough_poses is None:
-        return [*items, (f"{asked}", "are not met by any number of these candidates.")]
-    return [
-        *items,
-        (f"{asked}", f"are met with {how_many.enough_poses} poses; no choice of fewer than {how_many.needed_poses} meets them."),
-    ]  # fmt: skip
+    needed = f"are met with {how_many.enough_poses} poses; no choice of fewer than {how_many.needed_poses} meets them."
+    met = needed if how_many.enough_poses else "are not met by any number of these candidates."
+    return [*items, (f"{mm(how_many.tolerance_mm)} mm", met)]
 
 
 def _held_out(material: Material, how_many: HowMany) -> list[Item]:
@@ -199,10 +199,8 @@ def _gaps(outcome: RunOutcome) -> list[Item]:
     table = outcome.tables[ISOLABILITY]
     gaps = isolability_gaps(table)
     left = int(table["worst"].sum()) - len(gaps[:GAPS])
-    more = (
-        [f"{plural(left, 'further gap')} in {ISOLABILITY}, some without a remedy among the additions."] if left else []
-    )
-    return [*(f"{first_up(words)}." for words in (isolability_summary(table), *gaps[:GAPS])), *more]
+    more = f"{plural(left, 'further gap')} in {ISOLABILITY}, some without a remedy among the additions."
+    return [*(f"{first_up(words)}." for words in (isolability_summary(table), *gaps[:GAPS])), *[more] * (left > 0)]
 
 
 def _next_things(how_many: HowMany, worth: list[Worth]) -> list[Item]:

@@ -89,6 +89,7 @@ def _first_page(material: Material) -> list[Block]:
     lacking = headed("What else was found", Bullets(lacked(material), None)) if diagnosed else []
     cards, of_task = [*_cards(material), verdict_card(material)], answer(material.task) if material.task else None
     sentences = [*([of_task] if of_task else []), *foremost(material)]
+    fine = FINE_IN_SIMULATION if is_simulated(material.request) else FINE
     lines = [identity(material.request), _measured(material), *_stages_left_out(material)]
     facts = [*simulated(material.request), *(Paragraph(line, 9) for line in lines)]
     return [
@@ -99,10 +100,7 @@ def _first_page(material: Material) -> list[Block]:
         Columns([[pose_errors(material)], [*sure, *([] if unsettled else left_open)]], [1, 1]),
         RestOfPage(
             [*([] if unsettled else lacking), Heading("What to do next, most useful first")],
-            [
-                item.sentence
-                for item in next_steps(material, FINE_IN_SIMULATION if is_simulated(material.request) else FINE)
-            ],
+            [item.sentence for item in next_steps(material, fine)],
         ),
     ]
 
@@ -362,16 +360,16 @@ def levels_of_effort(material: Material) -> list[Block]:
         return []
     every = material.effort_levels
     unit, verdict = every[0].unit, held_against_tolerance(material)
-    judged = verdict if verdict and verdict.poses and not verdict.useless else None
+    tolerance = verdict.tolerance if verdict and verdict.poses and not verdict.useless else None
     header = ["what the robot is given", f"mean error [{unit}]", f"largest error [{unit}]"]
     rows = [[MEANT[level.level], mm(level.mean), mm(level.max)] for level in every]
-    if judged:
-        header.append(f"tolerance of {mm(judged.tolerance)} mm")
+    if tolerance is not None:
+        header.append(f"tolerance of {mm(tolerance)} mm")
         for row, level in zip(rows, every, strict=True):
-            row.append(PASSED if level.max <= judged.tolerance else FAILED)
-    least = least_effort(every, judged.tolerance if judged else None)
+            row.append(PASSED if level.max <= tolerance else FAILED)
+    least = least_effort(every, tolerance)
     shaded = frozenset([every.index(least)] if least else [])
-    words = f"{enough_words(every, least, judged.tolerance if judged else None)} {CORRECTED}"
+    words = f"{enough_words(every, least, tolerance)} {CORRECTED}"
     return [Table(header, rows, "lrrl"[: len(header)], shaded), Paragraph(words, 9)]
 
 
