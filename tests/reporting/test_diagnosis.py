@@ -522,7 +522,8 @@ def _drawings() -> dict[str, Figure]:
             "groups": explained_figure(side, side + noise, noise, side, held, "approach of joint 2", ""),
             "budget": error_budget(["Nominal", "Geometry", "+ sag"], [0.3, 0.1, 0.12], 0.05, "mm", "held out"),
             "budget, decades": error_budget(["Nominal", "Geometry"], [31.0, 0.05], None, "mm", "held out"),
-            "evidence": evidence(["Backlash of joint 2", "Sag"], np.array([80.0, -3.0]), ["< 10⁻⁶", "0.4"], side[1:3] > 0),
+            "evidence": evidence(pd.DataFrame({"cause": ["Backlash of joint 2", "Sag"], "evidence": [80.0, -3.0],
+                                               "chance_of_a_false_alarm": [1e-9, 0.4], "in_the_model": [True, False]})),
             "none held out": explained_figure(side, side + noise, noise, side, held & False, "payload", "kg"),
         }  # fmt: skip
 

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from calflow.files.words import mm
+from calflow.files.deferred import pd
+from calflow.files.words import chance_figure, mm
 from calflow.reporting.style import ACCENT, DARK, LIGHT, MIDDLE, PLATE, chart, mark_floor, plain_decades
 
 if TYPE_CHECKING:
@@ -31,12 +32,11 @@ def error_budget(names: Sequence[str], levels: Sequence[float], floor: float | N
     axes.barh(0, levels[0] - begin, 0.66, begin, color=MIDDLE)
     _beside(axes, 0, levels[0], f"{mm(levels[0])} {unit}")
     for k, (before, now) in enumerate(pairwise(levels), start=1):
-        look: dict[str, Any] = {"color": DARK} if now <= before else {"color": ACCENT, "hatch": "xx"}
-        axes.barh(k, abs(before - now), 0.66, min(before, now), **look)
-        _beside(axes, k, max(before, now), f"{'−' if now <= before else '+'}{mm(abs(before - now))} {unit}")
-    axes.barh(
-        len(levels), levels[-1] - begin, 0.66, begin, facecolor=LIGHT, edgecolor=MIDDLE, hatch="////", linewidth=0.6
-    )
+        sign, look = ("−", {"color": DARK}) if now <= before else ("+", {"color": ACCENT, "hatch": "xx"})
+        axes.barh(k, abs(before - now), 0.66, min(before, now), **look)  # type: ignore[arg-type]
+        _beside(axes, k, max(before, now), f"{sign}{mm(abs(before - now))} {unit}")
+    left: dict[str, Any] = {"facecolor": LIGHT, "edgecolor": MIDDLE, "hatch": "////", "linewidth": 0.6}
+    axes.barh(len(levels), levels[-1] - begin, 0.66, begin, **left)
     _beside(axes, len(levels), max(levels[-1], floor or 0.0), f"{mm(levels[-1])} {unit}")
     mark_floor(axes.axvline, floor, unit)
     if decades:
@@ -51,14 +51,18 @@ def error_budget(names: Sequence[str], levels: Sequence[float], floor: float | N
     return drawn
 
 
-def evidence(names: Sequence[str], evidence: np.ndarray, chances: Sequence[str], added: np.ndarray) -> Figure:
-    """Draw the evidence of causes (n,), best first, with false-alarm probabilities; dark: added to the model."""
-    drawn, axes = _rows(names)
-    axes.barh(range(len(names)), evidence, 0.66, color=np.where(added, DARK, LIGHT), edgecolor=DARK, linewidth=0.6)
+def evidence(causes: pd.DataFrame) -> Figure:
+    """Draw the evidence of causes, best first, with false-alarm probabilities; dark: added to the model.
+
+    causes has columns cause, evidence, chance_of_a_false_alarm and in_the_model.
+    """
+    drawn, axes = _rows(causes["cause"].tolist())
+    lengths, colours = causes["evidence"], np.where(causes["in_the_model"], DARK, LIGHT)
+    axes.barh(range(len(causes)), lengths, 0.66, color=colours, edgecolor=DARK, linewidth=0.6)
     axes.axvline(0, color="#444444", linewidth=0.6)
-    for k, chance in enumerate(chances):
-        _beside(axes, k, max(evidence[k], 0.0), chance)
-    low, high = min(evidence.min(), 0.0), max(evidence.max(), 0.0)
+    for k, (length, chance) in enumerate(zip(lengths, causes["chance_of_a_false_alarm"], strict=True)):
+        _beside(axes, k, max(length, 0.0), chance_figure(chance))
+    low, high = min(lengths.min(), 0.0), max(lengths.max(), 0.0)
     axes.set_xlim(low - 0.02 * (high - low), high + ROOM * (high - low or 1.0))
     axes.set_xlabel("evidence (twice its logarithm), and the chance of a false alarm")
     return drawn

@@ -185,13 +185,12 @@ def same_scale(space: Axes3D, segments: np.ndarray) -> None:
     """Give all three axes the same scale; segments has shape (n, n_ends, 3) [m]."""
     low, high = segments.min(axis=(0, 1)), segments.max(axis=(0, 1))
     size = np.maximum(high - low, 0.02 * (high - low).max() or 1e-3)
-    middle = (high + low) / 2
-    for i, (axis, limits) in enumerate(zip("xyz", (space.set_xlim, space.set_ylim, space.set_zlim), strict=True)):
-        limits(middle[i] - 0.52 * size[i], middle[i] + 0.52 * size[i])
-        space.locator_params(axis=axis, nbins=5)
-        space.tick_params(axis=axis, pad=-2, labelsize=6.5)
-    space.set_box_aspect(size, zoom=0.88)
-    for name, axis, pad in zip("xyz", (space.xaxis, space.yaxis, space.zaxis), (-3, -3, -6), strict=True):
-        axis.set_label_text(f"{name} [m]")
+    ends = np.outer((-0.52, 0.52), size) + (high + low) / 2
+    parts = zip("xyz", (space.xaxis, space.yaxis, space.zaxis), ends.T, (-3, -3, -6), strict=True)
+    for name, axis, limits, pad in parts:
+        space.set(**{f"{name}lim": limits, f"{name}label": f"{name} [m]"})
+        space.locator_params(axis=name, nbins=5)
+        space.tick_params(axis=name, pad=-2, labelsize=6.5)
         axis.labelpad = pad
         axis.pane.set_facecolor("white")
+    space.set_box_aspect(size, zoom=0.88)

@@ -54,14 +54,14 @@ WHERE_APPLIED = (
 )
 
 
-def distribution(
-    distance: np.ndarray, held: np.ndarray, sigma: np.ndarray, axes_of: np.ndarray, noise_name: str, unit: str
-) -> Figure:
-    """Draw the cumulative distribution of error norms [unit] of fitted and held-out rows, and that of normal noise.
+def distribution(material: Material, noise_name: str) -> Figure:
+    """Draw the cumulative distribution of error norms of fitted and held-out rows, and that of normal noise.
 
-    sigma: noise of each row per axis [unit]; axes_of: each row's number of axes; rows without an error are omitted.
+    Rows without an error in the judged unit are omitted.
     """
-    distance, held, sigma, axes_of = (values[np.isfinite(distance)] for values in (distance, held, sigma, axes_of))
+    there = np.isfinite(material.distance)
+    distance, held, sigma = (values[there] for values in (material.distance, material.held, material.sigma))
+    axes_of = np.isfinite(material.values[there]).sum(axis=1)
     drawn, axes = chart(2.1)
     rng = np.random.default_rng(0)
     drawn_rows = rng.integers(len(sigma), size=NOISE_DRAWS)
@@ -77,7 +77,9 @@ def distribution(
     grid = np.linspace(0, end, 300)
     look: dict[str, Any] = {"color": "black", "linestyle": ":", "linewidth": 1.2}
     axes.plot(grid, 100 * np.searchsorted(noise, grid) / len(noise), label=noise_name, **look)
-    axes.set(xlabel=f"error [{unit}]", ylabel="rows with a smaller error [%]", xlim=(0, end), ylim=(0, 103))
+    axes.set(
+        xlabel=f"error [{material.unit.label}]", ylabel="rows with a smaller error [%]", xlim=(0, end), ylim=(0, 103)
+    )
     axes.legend(loc="lower right")
     return drawn
 
@@ -96,9 +98,7 @@ def _accuracy(material: Material) -> list[Block]:
     errors = pd.DataFrame(
         {"held_out": material.held, f"error_{unit}": material.distance, f"noise_per_axis_{unit}": material.sigma}
     ).iloc[material.drawn]
-    name = "noise alone" if noise_known else "normal noise"
-    axes_of = np.isfinite(material.values).sum(axis=1)
-    spread = distribution(material.distance, material.held, material.sigma, axes_of, name, unit)
+    spread = distribution(material, "noise alone" if noise_known else "normal noise")
     return [
         Paragraph(f"{DISTANCE if material.is_of_positions else DIFFERENCE}. {HELD_OUT_POSES}{DEVICE * with_device}"),
         Table(("model", "poses", "rows", "mean", "RMS", "largest", "unit"), rows, "llrrrrl", final),

@@ -67,26 +67,26 @@ RIVALS_TOLD = 3  # rivals named with a finding
 WANDERED = "What the instrument reports shifts in the course of the measurement"
 
 
-def candidates_figure(material: Material, causes: Sequence[Finding]) -> list[Block]:
-    """Draw the candidates with the largest evidence, where there are any; causes: those in the extended model."""
+def candidates_figure(material: Material) -> list[Block]:
+    """Draw the candidates with the largest evidence, where there are any; those in the extended model are marked."""
     rows = _tested(material.candidates)[:CANDIDATES_SHOWN]
     if not rows or not material.findings:
         return []
+    causes = [finding for finding in material.findings if finding.is_cause and not finding.is_suspicion]
     places = {(cause.cause, cause.joint) for cause in causes}
-    detailed = [f"{cause_name(row.cause, row.joint)} ({row.detail})" for row in rows]
-    names = [
-        first_up(name if row.detail and len(name) <= LONGEST_NAME else place_name(row.cause, row.joint, row.part))
-        for name, row in zip(detailed, rows, strict=True)
-    ]
-    evidences, added = (
-        np.array([-row.delta_bic for row in rows]),
-        np.array([(row.cause, row.joint) in places for row in rows]),
-    )
-    p = [row.p_family for row in rows]
-    data = pd.DataFrame({"cause": names, "evidence": evidences, "chance_of_a_false_alarm": p, "in_the_model": added})
+    data = pd.DataFrame(
+        {"cause": first_up(_candidate(row)), "evidence": -row.delta_bic, "chance_of_a_false_alarm": row.p_family,
+         "in_the_model": (row.cause, row.joint) in places} for row in rows
+    )  # fmt: skip
     words = EVIDENCE.format(percent=f"{100 * threshold(material):.2g}")
-    drawn = evidence(names, evidences, [chance_figure(chance) for chance in p], added)
-    return [Heading("Evidence of the candidates"), Plot("evidence", drawn, words, data)]
+    return [Heading("Evidence of the candidates"), Plot("evidence", evidence(data), words, data)]
+
+
+def _candidate(row: CandidateRow) -> str:
+    """Return a candidate's name with its detail, or where that is too long with its place."""
+    detailed = f"{cause_name(row.cause, row.joint)} ({row.detail})"
+    short = row.detail and len(detailed) <= LONGEST_NAME
+    return detailed if short else place_name(row.cause, row.joint, row.part)
 
 
 def limits(rows: Sequence[CandidateRow]) -> list[Block]:
@@ -134,8 +134,7 @@ def _tested(rows: Sequence[CandidateRow]) -> list[CandidateRow]:
 def _search(material: Material) -> list[Block]:
     """Draw the strongest candidates, and tabulate detection limits and causes that could not be tested."""
     rows = material.candidates
-    causes = [finding for finding in material.findings if finding.is_cause and not finding.is_suspicion]
-    return [*candidates_figure(material, causes), *limits(rows), *not_tested(rows)]
+    return [*candidates_figure(material), *limits(rows), *not_tested(rows)]
 
 
 def gain_words(finding: Finding) -> str:

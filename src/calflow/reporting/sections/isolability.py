@@ -7,8 +7,9 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from calflow.design.isolability import isolability_gaps, isolability_summary
+from calflow.design.isolability import IsolabilityCell, isolability_gaps, isolability_summary
 from calflow.files.deferred import pd
+from calflow.files.tables import from_frame
 from calflow.files.words import first_up
 from calflow.reporting.advice import ISOLABILITY_TABLE
 from calflow.reporting.blocks import Block, Paragraph, Plot
@@ -32,19 +33,16 @@ APART_CAPTION = (
 
 def apart_figure(table: pd.DataFrame) -> Figure:
     """Draw a matrix of causes and rivals: distinguished, not distinguished, or not detected."""
-    tested = table[(table["part"] != "") & table["part"].notna()]
-    alone = tested[tested["rival"].fillna("") == ""]
-    names = [
-        f"{cause} {joint:.0f}" if joint > 0 else f"{cause} ({part})"
-        for cause, joint, part in zip(alone["cause"], alone["joint"].astype(float), alone["part"], strict=True)
-    ]
-    number = {place: k for k, place in enumerate(zip(alone["cause"], alone["part"], strict=True))}
+    tested = [row for row in from_frame(table, IsolabilityCell) if row.part]
+    alone = [row for row in tested if not row.rival]
+    names = [f"{row.cause} {row.joint}" if row.joint else f"{row.cause} ({row.part})" for row in alone]
+    number = {(row.cause, row.part): k for k, row in enumerate(alone)}
     cells = np.full((len(names), len(names)), DISTINGUISHED)
-    for row in tested.to_dict("records"):
-        rival = number.get((row["rival"], row["rival_part"]))
-        if rival is not None and not row["enough"]:
-            cells[number[row["cause"], row["part"]], rival] = ALIKE
-    undetected = np.flatnonzero(~alone["enough"].to_numpy(dtype=bool))
+    for row in tested:
+        rival = number.get((row.rival, row.rival_part))
+        if rival is not None and not row.enough:
+            cells[number[row.cause, row.part], rival] = ALIKE
+    undetected = [k for k, row in enumerate(alone) if not row.enough]
     cells[undetected] = UNDETECTED
     np.fill_diagonal(cells, SELF)
 

@@ -56,27 +56,29 @@ NO_FIT = (
 )
 
 
-def in_workspace(
-    position: np.ndarray, error: np.ndarray, size: np.ndarray, held: np.ndarray, factor: float, unit: str
-) -> Figure:
-    """Draw each position with its error times factor, in space and from three sides.
+def in_workspace(material: Material) -> Figure:
+    """Draw each position with its error enlarged, if it has a direction, in space and from three sides.
 
-    position and error have shape (n_rows, 3) [mm], error nan where it has no direction; the darker, the larger its size
-    (n_rows,) [unit].
+    The darker, the larger its size.
     """
+    shown = material.drawn[_shown(material)]
+    shown = shown[np.isfinite(material.distance[shown])]
+    place, error, size, held = (
+        values[shown] for values in (material.place, material.error, material.distance, material.held)
+    )
     drawn = figure(4.4)
     drawn.set_layout_engine("none")
     dark = shades(0.3)
     norm = Normalize(0, size.max() or 1.0)
     colours = dark(norm(size))
-    segments = np.stack([position, position + factor * np.nan_to_num(error)], axis=1) / 1000
-    picture = len(position) > MOST_VECTOR_POINTS / 5
+    segments = np.stack([place, place + _factor(material) / 1000 * np.nan_to_num(error)], axis=1)
+    picture = len(place) > MOST_VECTOR_POINTS / 5
 
     space = drawn.add_axes((0.0, 0.47, 0.54, 0.50), projection="3d")
     assert isinstance(space, Axes3D)
     space.add_collection3d(Line3DCollection(segments, colors=colours, linewidths=0.9, rasterized=picture))
     for mask, marker in ((~held, "o"), (held, "^")):
-        space.scatter(*position[mask].T / 1000, c=colours[mask], marker=marker, s=crowded(len(position)), depthshade=False,
+        space.scatter(*place[mask].T, c=colours[mask], marker=marker, s=crowded(len(place)), depthshade=False,
                       linewidths=0, rasterized=picture)  # fmt: skip
     same_scale(space, segments)
 
@@ -90,8 +92,8 @@ def in_workspace(
         axes.add_collection(LineCollection(lines, colors=colours, linewidths=1.0, rasterized=picture))
         for mask, marker, name in ((~held, "o", "used for the fit"), (held, "^", "held out")):
             if mask.any():
-                axes.scatter(position[mask, i] / 1000, position[mask, j] / 1000, c=colours[mask], marker=marker, linewidths=0,
-                             s=crowded(len(position)), rasterized=picture, label=name)  # fmt: skip
+                axes.scatter(place[mask, i], place[mask, j], c=colours[mask], marker=marker, linewidths=0,
+                             s=crowded(len(place)), rasterized=picture, label=name)  # fmt: skip
         view(axes, i, j, title)
         if title == "from above":
             legend = drawn.legend(*axes.get_legend_handles_labels(), loc="upper left", ncols=2)
@@ -99,17 +101,16 @@ def in_workspace(
                 handle.set(color=DARK, sizes=[12])  # type: ignore[union-attr]
     bar = drawn.add_axes((0.475, 0.10, 0.012, 0.24))
     drawn.colorbar(ScalarMappable(norm, dark), cax=bar)
-    bar.set_title(f"error [{unit}]", fontsize=7)
+    bar.set_title(f"error [{material.unit.label}]", fontsize=7)
     return drawn
 
 
-def against(
-    errors: Mapping[str, np.ndarray], along: Mapping[str, np.ndarray], held: np.ndarray, shown: np.ndarray
-) -> Figure:
+def against(material: Material, errors: Mapping[str, np.ndarray], along: Mapping[str, np.ndarray]) -> Figure:
     """Draw errors (n_rows,), nan where a row has none, against quantities (n_rows,); keys are axis labels.
 
-    shown: the rows with a dot; the mean is that of all.
+    The rows drawn have a dot each; the mean is that of all.
     """
+    held, shown = material.held, material.drawn
     several = len(errors) > 1
     drawn, grid = panels(len(errors), len(along), max(2.1, 1.3 * len(errors)), sharey=True, sharex="col")
     most = 1.1 * max(np.nanmax(np.abs(error)) for error in errors.values()) or 1.0
@@ -188,7 +189,7 @@ class Plots:
         material, robot = self.material, self.material.data.robot
         readings = shown_readings(robot, material.data.joints)
         along = dict(zip(reading_labels(robot), readings.T, strict=True))
-        return against(_components(material), along, material.held, material.drawn)
+        return against(material, _components(material), along)
 
     @style()
     def residuals_by_place(self) -> Figure:
@@ -199,18 +200,12 @@ class Plots:
             "height z [m]": material.place[:, 2],
             "row of the file": np.arange(1, len(material.distance) + 1),
         }
-        return against({f"error [{material.unit.label}]": material.distance}, along, material.held, material.drawn)
+        return against(material, {f"error [{material.unit.label}]": material.distance}, along)
 
     @style()
     def residuals_in_space(self) -> Figure:
         """Draw the errors in the workspace, enlarged."""
-        material = self.material
-        shown = material.drawn[_shown(material)]
-        shown = shown[np.isfinite(material.distance[shown])]
-        place, error, size, held = (
-            values[shown] for values in (1e3 * material.place, material.error, material.distance, material.held)
-        )
-        return in_workspace(place, error, size, held, _factor(material), material.unit.label)
+        return in_workspace(self.material)
 
 
 def _directed(material: Material) -> bool:
