@@ -94,21 +94,24 @@ def _accuracy(comparison: Comparison) -> Table:
 
 
 def _causes(comparison: Comparison) -> Table:
-    rows = []
-    for cause in comparison.causes:
-        name = cause_name(cause.cause, cause.joint) if cause.cause else "unexplained"
-        rows.append((cause.run, name, quantity(cause.estimate, cause.sd, cause.unit), listed(cause.also_in)))
+    rows = [
+        (cause.run, cause_name(cause.cause, cause.joint) if cause.cause else "unexplained",
+         quantity(cause.estimate, cause.sd, cause.unit), listed(cause.also_in))
+        for cause in comparison.causes
+    ]  # fmt: skip
     return Table(("run", "cause", "size", "also found in"), rows, "llrl")
 
 
 def _parameters(comparison: Comparison) -> Table:
-    rows = []
-    for row in sorted(comparison.parameters, key=lambda row: 0.0 if row.p is None else row.p)[:PARAMETERS_SHOWN]:
-        difference = quantity(row.difference, float("nan") if row.sd is None else row.sd, row.unit)
-        p = [] if row.p is None else [f"{row.p:.1g}"]
-        rows.append([f"{row.first} → {row.second}", row.meaning or row.parameter, difference, *p])
-    header = ("runs", "parameter", "difference", "p")[: max(map(len, rows))]
-    return Table(header, [row + ["–"] * (len(header) - len(row)) for row in rows], "llrr"[: len(header)])
+    shown = sorted(comparison.parameters, key=lambda row: 0.0 if row.p is None else row.p)[:PARAMETERS_SHOWN]
+    number = 4 if any(row.p is not None for row in shown) else 3  # columns: chance is tested, or not
+    rows = [
+        (f"{row.first} → {row.second}", row.meaning or row.parameter,
+         quantity(row.difference, float("nan") if row.sd is None else row.sd, row.unit),
+         "–" if row.p is None else f"{row.p:.1g}")[:number]
+        for row in shown
+    ]  # fmt: skip
+    return Table(("runs", "parameter", "difference", "p")[:number], rows, "llrr"[:number])
 
 
 def _settings(comparison: Comparison, names: Sequence[str]) -> Table:

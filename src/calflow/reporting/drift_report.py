@@ -101,8 +101,7 @@ def _shift(row: Recalibrated) -> str:
 def seen_from(drift: Drift) -> str:
     """Return words on the detection limits of joint zeros."""
     limits = []
-    zeros = [candidate for candidate in drift.candidates if candidate.kind == "zero"]
-    for zero in sorted(zeros, key=lambda zero: zero.joint or 0):
+    for zero in sorted((one for one in drift.candidates if one.kind == "zero"), key=lambda zero: zero.joint or 0):
         (factor, unit), limit = readable(zero.units[0]), zero.limits[0]
         limits.append(f"{zero.joint}: {f'{rounded(factor * limit, 2)} {unit}' if np.isfinite(limit) else 'any'}")
     return f"A shift of a joint's zero would be found in 95 of 100 checks from this size on: joint {', '.join(limits)}."

@@ -92,7 +92,7 @@ def _shown(history: History, courses: dict[str, list[ParameterInRun]]) -> list[s
     for name, course in courses.items():
         if course[0].told:
             value, weight = np.array([run.value for run in course]), np.array([run.sd for run in course]) ** -2.0
-            spread[name] = float((weight * (value - weight @ value / weight.sum()) ** 2).sum())
+            spread[name] = float(weight @ (value - np.average(value, weights=weight)) ** 2)
     return list(dict.fromkeys((*moved, *sorted(spread, key=lambda name: -spread[name]))))[:PARAMETERS_DRAWN]
 
 
@@ -111,8 +111,7 @@ def _course(history: History) -> Figure:
         axes.errorbar(at, value, 2 * sd, fmt="o", color=DARK, capsize=1.8, elinewidth=1.0)
         steps = sorted(runs.index(moved.before) for moved in history.moved if moved.parameter == name)
         for begin, end in zip([0, *steps], [*steps, len(runs)], strict=True):
-            weight = sd[begin:end] ** -2.0
-            mean = weight @ value[begin:end] / weight.sum()
+            mean = np.average(value[begin:end], weights=sd[begin:end] ** -2.0)
             axes.plot([begin - 0.3, end - 0.7], [mean, mean], color=ACCENT)
         axes.set(title=name, ylabel=f"change [{unit}]", xlim=(-0.5, len(runs) - 0.5))
         axes.set_xticks(at, runs, rotation=90)

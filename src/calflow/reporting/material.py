@@ -20,7 +20,7 @@ from calflow.estimation.certainty import errors_in, tested_rows
 from calflow.estimation.model_tables import ModelObservation
 from calflow.estimation.registration import in_measuring_frame
 from calflow.files.deferred import pd
-from calflow.files.units import METRE, MeasurementUnit
+from calflow.files.units import MeasurementUnit
 from calflow.measurements.measurements import Measurements
 from calflow.observations.base import observation_kinds
 from calflow.robot.robot import Robot
@@ -123,12 +123,6 @@ class Material(RunOutcome):
     def values(self) -> np.ndarray:
         """Predicted minus measured values in the judged unit, (n_rows, n_axes) [unit]; nan for other units."""
         return np.asarray(self.unit.shown(errors(self.calibrated.model, self.calibrated.estimate, self.data)))
-
-    @cached_property
-    def length_error(self) -> np.ndarray:
-        """Predicted minus measured length where a row has one alone, nan elsewhere, shape (n_rows,) [mm]."""
-        whole = errors(self.calibrated.model, self.calibrated.estimate, self.data, METRE)
-        return np.where(np.isnan(whole[:, 1]), 1e3 * whole[:, 0], np.nan)
 
     @cached_property
     def drawn(self) -> np.ndarray:

@@ -154,12 +154,8 @@ def new_poses_words(summary: FitSummary, held_out: float) -> str:
     noise = math.sqrt(3) * (summary.sigma_mm or 0.0)
     if held_out > math.hypot(noise, CONTRADICTED * (summary.new_poses_limit_mm or math.inf)):
         return f"the fit predicts {summary.at_new_poses}, but held-out poses are off by {mm(held_out)} mm: do not rely on it."
-    counted = (
-        "without the noise"
-        if summary.noise_known
-        else "in addition to an error like that left by the fit, noise or not"
-    )
-    return f"{summary.at_new_poses}, {counted}."
+    beyond_fit = "in addition to an error like that left by the fit, noise or not"
+    return f"{summary.at_new_poses}, {'without the noise' if summary.noise_known else beyond_fit}."
 
 
 def certainty_words(certainty: Certainty, noise_known: bool) -> str:
@@ -184,14 +180,10 @@ def leftover(times: float, discrepancy: float, structure: str, significant: bool
         return "whether it is more than noise is not known: the noise was estimated from the fit itself."
     if times <= ENOUGH and not significant:
         return f"{times:.2f} times the noise, so the noise explains all of it."
-    steps = (
-        f" The model's own error, {mm(discrepancy)} {unit} per axis, is included in the uncertainty of predictions."
-        if discrepancy
-        else ""
-    )
+    own = f" The model's own error, {mm(discrepancy)} {unit} per axis, is included in the uncertainty of predictions."
     little = f"a little more than noise explains{'' if significant else ', which may be chance'}"
     lacks = "the model lacks something" if times > LACKS else little
-    return f"with the repeats of each pose averaged, {ratio(times)} times the noise: {lacks}.{steps}"
+    return f"with the repeats of each pose averaged, {ratio(times)} times the noise: {lacks}.{own * bool(discrepancy)}"
 
 
 def _in_space(outcome: RunOutcome) -> list[Block]:

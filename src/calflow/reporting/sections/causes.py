@@ -94,22 +94,19 @@ def limits(rows: Sequence[CandidateRow]) -> list[Block]:
     shown = [row for row in rows if np.isfinite(row.limit)]
     if not shown:
         return []
-    numbers = sorted({row.joint for row in shown if row.joint})
-    least: dict[tuple[str, int | None], float] = {}
-    for row in shown:
-        place = row.cause, row.joint
-        least[place] = min(row.limit, least.get(place, np.inf))
+    places = [*sorted({row.joint for row in shown if row.joint}), None]
+    least = {(row.cause, row.joint): row.limit for row in sorted(shown, key=lambda row: -row.limit)}
     lines = []
     for cause, unit in {row.cause: row.unit for row in reversed(shown)}.items():
-        stated = {k: as_stiffness(least[cause, k], unit) for k in (*numbers, None) if (cause, k) in least}
+        stated = {k: as_stiffness(least[cause, k], unit) for k in places if (cause, k) in least}
         factor, unit_shown = readable_size(cause, next(iter(stated.values()))[1])
-        cells = [rounded(factor * stated[k][0], 2) if k in stated else "–" for k in (*numbers, None)]
+        cells = [rounded(factor * stated[k][0], 2) if k in stated else "–" for k in places]
         lines.append((first_up(cause_words(cause).name), unit_shown, *cells))
-    header = ("cause", "unit", *map(str, numbers), "whole robot")
+    header = ("cause", "unit", *map(str, places[:-1]), "whole robot")
     return [
         Heading("Detection limits"),
         Paragraph(LIMITS, keep=True),
-        Table(header, sorted(lines), "ll" + "r" * (len(numbers) + 1), size=8, wide=0),
+        Table(header, sorted(lines), "ll" + "r" * len(places), size=8, wide=0),
     ]
 
 

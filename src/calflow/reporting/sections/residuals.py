@@ -242,11 +242,14 @@ def _scene(material: Material, shown: np.ndarray) -> Scene:
 
 def _components(material: Material) -> dict[str, np.ndarray]:
     """Return the components of the errors (n_rows,) by axis label, nan where a row does not have one."""
-    parts = {f"d{axis} [mm]": error for axis, error in zip("xyz", material.error.T, strict=True)}
-    parts["length [mm]"] = material.length_error
-    if material.unit != METRE:
-        parts = {f"value {k} [{material.unit.label}]": values for k, values in enumerate(material.values.T, start=1)}
-    return {name: values for name, values in parts.items() if np.isfinite(values).any()}
+    values, unit = material.values, material.unit
+    if unit == METRE:
+        alone = np.where(np.isnan(values[:, 1]), values[:, 0], np.nan)
+        parts = {f"d{axis} [mm]": error for axis, error in zip("xyz", material.error.T, strict=True)}
+        parts["length [mm]"] = alone
+    else:
+        parts = {f"value {k} [{unit.label}]": value for k, value in enumerate(values.T, start=1)}
+    return {name: part for name, part in parts.items() if np.isfinite(part).any()}
 
 
 def _flagged(material: Material) -> list[Block]:
