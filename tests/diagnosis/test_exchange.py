@@ -12,6 +12,7 @@ from calflow.diagnosis.trial import Screened
 from calflow.effects import catalogue
 from calflow.effects.cause import Cause
 from calflow.estimation.progress import nobody
+from calflow.estimation.variance_components import LOG_PRIOR, SIZES
 from calflow.linear import Block, LinearProblem, LinearTrial
 from diagnosis.test_screening import with_residual
 from robots import industrial
@@ -65,16 +66,19 @@ def test_a_pair_costs_what_a_fit_of_both_would(regressors):
     exchange = Exchange.of(screening, FAMILY, [causes()[2]])
     found = {frozenset((first.place, second.place)): cost for cost, first, second in exchange.better()}
     before = chi2(regressors, [])
-    sizes, costs = exchange.likeliest_sizes
-    at = {score.cause.place: k for k, score in enumerate(exchange.scores)}
     own = screening.information(np.arange(3)) * np.outer(regressors.prior_sd[:3], regressors.prior_sd[:3])
+    sizes, costs = np.empty((2, 3))
+    for k in range(3):
+        fallen = [(ROWS - OWN) * np.log(chi2(regressors, [k], np.array([size])) / before) for size in SIZES]
+        logs = -(np.array(fallen) + np.log1p(own[k, k] * SIZES**2)) / 2
+        best = np.argmax(logs + LOG_PRIOR)
+        sizes[k], costs[k] = SIZES[best], 2 * (logs[best] - np.log(np.exp(logs + LOG_PRIOR).sum()))
     for first, second in ((0, 1), (0, 2), (1, 2)):
         columns = [first, second]
         places = frozenset(causes()[k].place for k in columns)
-        pair = [at[causes()[k].place] for k in columns]
-        narrowed = np.eye(2) + own[np.ix_(columns, columns)] * np.outer(sizes[pair], sizes[pair])
-        fallen = (ROWS - OWN) * np.log(chi2(regressors, columns, sizes[pair]) / before)
-        expected = fallen + np.linalg.slogdet(narrowed)[1] + costs[pair].sum()
+        narrowed = np.eye(2) + own[np.ix_(columns, columns)] * np.outer(sizes[columns], sizes[columns])
+        fallen = (ROWS - OWN) * np.log(chi2(regressors, columns, sizes[columns]) / before)
+        expected = fallen + np.linalg.slogdet(narrowed)[1] + costs[columns].sum()
         if places in found:
             assert found[places] == pytest.approx(expected, abs=0.02)
     assert frozenset(causes()[k].place for k in (0, 1)) in found

@@ -113,18 +113,12 @@ def merged(trial: Trial[H]) -> Iterator[list[H]]:
 
 @dataclass(frozen=True)
 class Exchange(Generic[H]):
-    """All pairs of candidates of few parameters in the place of one or two causes.
-
-    information (m, m, COLUMNS, COLUMNS) is S between candidates in units of the priors and score (m, COLUMNS) their u, padded with
-    zeros, which do not affect the evidence.
-    """
+    """All pairs of candidates of few parameters in the place of one or two causes, gone."""
 
     screening: Screening[H]
     family: Family
     gone: Sequence[H]
     scores: tuple[Score[H], ...]
-    information: np.ndarray
-    score: np.ndarray
 
     @staticmethod
     def of(screening: Screening[H], family: Family, gone: Sequence[H]) -> Exchange[H]:
@@ -136,83 +130,65 @@ class Exchange(Generic[H]):
             best = seen[score.cause.place] <= BEST_VARIANTS and len(score.candidate.columns) <= FEW_COLUMNS
             if best or score.cause in gone:
                 few.append(score)
-        columns = np.zeros((len(few), FEW_COLUMNS), dtype=int)
-        sd = np.zeros(columns.shape)
-        for k, score in enumerate(few):
-            span = score.candidate.columns
-            columns[k, : len(span)] = span
-            sd[k, : len(span)] = screening.regressors.prior_sd[span]
-        used, which = np.unique(columns, return_inverse=True)
-        which = which.ravel()
-        information = screening.information(used)[np.ix_(which, which)] * sd.ravel()[:, None] * sd.ravel()
-        shape = (len(few), FEW_COLUMNS, len(few), FEW_COLUMNS)
-        return Exchange(
-            screening, family, gone, tuple(few), information.reshape(shape).transpose(0, 2, 1, 3),
-            screening.score[columns] * sd,
-        )  # fmt: skip
+        return Exchange(screening, family, gone, tuple(few))
 
     def alone(self) -> Score[H] | None:
         """Return the best candidate that explains the data better than the two removed causes together, if there is one."""
-        at = self._removed
-        return self.scores[0] if len(at) == 2 and self.scores[0].cost < self._costs[at[0], at[1]] else None
+        return self.scores[0] if len(self.gone) == 2 and self.scores and self.scores[0].cost < self._now else None
 
     def better(self) -> Iterator[tuple[float, H, H]]:
         """Yield the cost and the causes of pairs at different places that are better than the removed causes, best first."""
-        at = self._removed
-        if len(at) < len(self.gone):
-            return  # a removed cause is not testable here
-        every = self._costs
-        now = every[at[0], at[1]] if len(at) == 2 else self.scores[at[0]].cost - SPLIT
-        limit = now - self.family.material * self.screening.degrees_of_freedom
-        cost = np.where(self._of_different_places, every, np.inf)
-        for k in np.argsort(cost, axis=None, kind="stable"):
-            i, j = (int(x) for x in np.unravel_index(k, cost.shape))
-            if not cost[i, j] < limit:
-                return
-            yield float(cost[i, j]), self.scores[i].cause, self.scores[j].cause
-
-    @property
-    def _removed(self) -> list[int]:
-        """The indices of the removed causes, those that are testable here."""
-        return [k for k, score in enumerate(self.scores) if score.cause in self.gone]
-
-    @property
-    def _of_different_places(self) -> np.ndarray:
-        """Mask (m, m) of pairs at two different places, each pair once."""
+        limit = self._now - self.family.material * self.screening.degrees_of_freedom
+        first, second = self._pairs
         places = [score.cause.place for score in self.scores]
-        number = {place: k for k, place in enumerate(dict.fromkeys(places))}
-        where = np.array([number[place] for place in places])
-        return np.triu(where[:, None] != where, 1)
+        for k in np.argsort(self.costs, kind="stable"):
+            if not self.costs[k] < limit:
+                return
+            if places[first[k]] != places[second[k]]:
+                yield float(self.costs[k]), self.scores[first[k]].cause, self.scores[second[k]].cause
+
+    @property
+    def _pairs(self) -> tuple[np.ndarray, np.ndarray]:
+        """The numbers of the candidates of each pair, (n_pairs,) each."""
+        return np.triu_indices(len(self.scores), 1)
+
+    @property
+    def _now(self) -> float:
+        """Cost of the removed causes, of a single one less SPLIT; minus infinity where one is not testable here."""
+        at = [k for k, score in enumerate(self.scores) if score.cause in self.gone]
+        if len(at) < len(self.gone):
+            return -np.inf
+        single = self.scores[at[0]].cost - SPLIT
+        return single if len(at) == 1 else float(self.costs[np.all(np.transpose(self._pairs) == at, axis=1)][0])
 
     @cached_property
-    def _costs(self) -> np.ndarray:
-        """Cost of every pair, shape (m, m)."""
-        identity = np.eye(FEW_COLUMNS)
-        m, chi2 = len(self.scores), self.screening.chi2
-        size, taken_for = self.likeliest_sizes
-        information = self.information * size[:, None, None, None] * size[:, None, None]
-        score, diagonal = self.score * size[:, None], information[np.arange(m), np.arange(m)]
-        alone = np.linalg.inv(diagonal + identity)
-        drop_alone = np.einsum("ma,mab,mb->m", score, alone, score)
-        # Information on j beside i, and its score there.
-        taken = np.einsum("ijab,iac->ijbc", information, alone, optimize=True)
-        beside = diagonal + identity - np.einsum("ijbc,ijcd->ijbd", taken, information, optimize=True)
-        beside[np.arange(m), np.arange(m)] = identity
-        left = score - np.einsum("ijbc,ic->ijb", taken, score, optimize=True)
-        drop = drop_alone[:, None] + np.einsum("ijb,ijbc,ijc->ij", left, np.linalg.inv(beside), left, optimize=True)
-        narrowed = np.linalg.slogdet(diagonal + identity)[1][:, None] + np.linalg.slogdet(beside)[1]
-        spent = taken_for + 2 * np.log([self.screening.variants[score.cause.place] for score in self.scores])
-        logs = log_likelihood(drop / chi2, narrowed, self.screening.degrees_of_freedom)
-        return np.asarray(-2 * logs + spent[:, None] + spent)
+    def costs(self) -> np.ndarray:
+        """Cost of each pair, (n_pairs,), both at their likeliest sizes alone, at the cost of averaging over sizes instead."""
+        screening, chi2, freedom = self.screening, self.screening.chi2, self.screening.degrees_of_freedom
+        columns = np.zeros((len(self.scores), FEW_COLUMNS), dtype=int)
+        sd = np.zeros(columns.shape)  # padded with zeros, which do not affect the evidence
+        for k, span in enumerate(score.candidate.columns for score in self.scores):
+            columns[k, : len(span)], sd[k, : len(span)] = span, screening.regressors.prior_sd[span]
+        used, which = np.unique(columns, return_inverse=True)
+        which, information = which.reshape(columns.shape), screening.information(used)
 
-    @property
-    def likeliest_sizes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Likeliest size of each candidate alone over its usual one (m,), and the cost of averaging over sizes instead (m,)."""
-        at = np.arange(len(self.scores))
-        fallen, narrowed = explained(*directions(self.information[at, at], self.score))
-        logs = log_likelihood(fallen / self.screening.chi2, narrowed, self.screening.degrees_of_freedom)
+        def taken(which: np.ndarray, sd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            whole = information[which[:, :, None], which[:, None]]
+            whole *= sd[:, :, None]
+            whole *= sd[:, None]
+            return whole, screening.score[used[which]] * sd
+
+        fallen, narrowed = explained(*directions(*taken(which, sd)))
+        logs = log_likelihood(fallen / chi2, narrowed, freedom)
         best = np.argmax(logs + LOG_PRIOR[:, None], axis=0)
-        return SIZES[best], -2 * (mixed(logs) - logs[best, at])
+        variants = [screening.variants[score.cause.place] for score in self.scores]
+        spent = 2 * (logs[best, np.arange(len(best))] - mixed(logs) + np.log(variants))
+        first, second = self._pairs
+        whole, score = taken(*(np.hstack([part[first], part[second]]) for part in (which, sd * SIZES[best, None])))
+        whole += np.eye(2 * FEW_COLUMNS)
+        drop = np.vecdot(score, np.linalg.solve(whole, score[:, :, None])[:, :, 0])
+        logs = log_likelihood(drop / chi2, np.linalg.slogdet(whole)[1], freedom)
+        return np.asarray(-2 * logs + spent[first] + spent[second])
 
 
 def doubtful(finding: Detection[H]) -> list[Score[H]]:

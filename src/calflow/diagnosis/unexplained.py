@@ -187,22 +187,19 @@ def predicted(fitted: Fitted, decoys: Sequence[Effect], data: Measurements) -> n
 
     The model's parameters are refitted beside it, linearly and with their priors.
     """
-    regressors = replace(fitted, background=None).regressors(decoys)
-    amplitudes = _amplitudes(Screening(regressors), regressors.prior_sd)
-    jacobian = regressors.jacobian
-    imitated = jacobian.T @ regressors.matrix.times(amplitudes)
-    settled = -np.linalg.solve(jacobian.T @ jacobian + np.diag(regressors.precision), imitated)
+    screening = Screening(replace(fitted, background=None).regressors(decoys))
+    amplitudes = _amplitudes(screening)
     model, fit = fitted.model, fitted.fit
     both = replace(model, probes=tuple(decoys))
-    change = np.zeros(len(both.parameters))
-    change[np.flatnonzero(~fit.at_bound)] = settled
-    change[len(fit.estimate) :] = amplitudes
+    change = np.append(np.zeros(len(fit.estimate)), amplitudes)
+    change[np.flatnonzero(~fit.at_bound)] = screening.imitation(np.arange(len(amplitudes))) @ amplitudes
     at = np.append(fit.estimate, both.nominal[len(fit.estimate) :])
     return error_jacobian(both, at, data) @ change
 
 
-def _amplitudes(screening: Screening, usual: np.ndarray) -> np.ndarray:
+def _amplitudes(screening: Screening) -> np.ndarray:
     """Return the posterior mean amplitudes of all columns (n_columns,), with one likeliest variance over their usual ones."""
+    usual = screening.regressors.prior_sd
     shown = screening.information(np.arange(len(usual))) * usual[:, None] * usual
     components = VarianceComponents(
         np.zeros(len(usual), dtype=int), 1, shown, screening.score * usual, screening.chi2, screening.degrees_of_freedom
