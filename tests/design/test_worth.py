@@ -11,7 +11,7 @@ from scipy.stats import qmc
 from calflow.design.candidates import packed_conditions
 from calflow.design.measuring_order import drift_pulls, orders
 from calflow.design.optimality import information
-from calflow.design.planned import Planned, Task
+from calflow.design.planned import Planned, SelectionRequest, Task
 from calflow.design.worth import ASIDE, PlanInformation
 from calflow.measurements.series import Series
 from calflow.model import build
@@ -34,7 +34,8 @@ def plan_of(robot):
         PLANNED.whitened(model, model.nominal, packed_conditions(model, drawn[POSES : POSES + 10], "", marker))
         * model.prior_sd
     )
-    return PlanInformation(model, PLANNED, drawn[:POSES], "", marker, np.eye(len(model.parameters)), task, further)
+    asked = SelectionRequest(number=POSES, marker=marker, planned=PLANNED, order="random", drift=1e-4)
+    return PlanInformation(model, asked, drawn[:POSES], np.eye(len(model.parameters)), task, further)
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +63,7 @@ def test_measuring_twice_and_ten_more_are_what_their_rows_tell(plan):
 
 def test_a_second_station_has_its_own_place_to_tell(plan):
     """Fails if where a second device stands counts as known, or its readings do not count."""
-    points = plan.model.point(plan.model.nominal, packed_conditions(plan.model, plan.readings, "", plan.marker))
+    points = plan.model.point(plan.model.nominal, packed_conditions(plan.model, plan.readings, "", plan.request.marker))
     own = plan.own.reshape(-1, len(plan.prior))
     motion = np.concatenate([np.concatenate([-np.eye(3), np.cross(np.eye(3), point).T], axis=1) for point in points])
     motion *= 0.5 / SIGMA  # m and rad: nobody knows where it stands
@@ -98,7 +99,7 @@ def test_what_gains_most_is_named(plan):
 def test_a_drift_pulls_as_far_as_a_fit_to_drifting_points_goes(plan):
     """Fails if the pull told is not that of a fit to points that drift, of the worst direction."""
     every = orders(plan, np.random.default_rng(2))
-    pulls = {(row.order, row.drifting): row for row in drift_pulls(plan, every, "random", 1e-4)}
+    pulls = {(row.order, row.drifting): row for row in drift_pulls(plan, every)}
     own = plan.own.reshape(-1, len(plan.prior))
     for name, order in every.items():
         assert sorted(order) == list(range(POSES))
@@ -116,7 +117,7 @@ def test_a_drift_pulls_as_far_as_a_fit_to_drifting_points_goes(plan):
 
 def test_the_random_order_is_pulled_less_on_ways_that_stay_bounded(plan):
     """Fails if the order that is to resist drift is pulled more than the short one, or sends the robot about without end."""
-    rows = drift_pulls(plan, orders(plan, np.random.default_rng(2)), "random", 5e-5)
+    rows = drift_pulls(plan, orders(plan, np.random.default_rng(2)))
     worst = {name: max(row.tool_pull_mm for row in rows if row.order == name) for name in ("short", "random")}
     assert worst["random"] < worst["short"]
     assert all(row.travel == 1.0 for row in rows if row.order == "short")

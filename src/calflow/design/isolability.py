@@ -313,9 +313,7 @@ def _regressors(
 
     Joints have their usual compliance, on which some causes depend.
     """
-    n = len(model.parameters)
-    sd = np.array([parameter.prior_sd for parameter in model.parameters])
-    point = model.nominal.copy()
+    n, sd, point = len(model.parameters), model.prior_sd, model.nominal.copy()
     for effect in model.effects:
         if effect.inevitable:
             point[model.columns(effect)] += sd[model.columns(effect)]

@@ -13,7 +13,6 @@ from typing import Literal
 
 import numpy as np
 
-from calflow.design.candidates import packed_conditions
 from calflow.design.planned import Order, SelectionRequest
 from calflow.design.worth import PlanInformation
 from calflow.files.deferred import pd
@@ -96,17 +95,16 @@ def orders(plan: PlanInformation, rng: np.random.Generator) -> dict[Order, np.nd
     return {"short": shortest_tour(plan.readings), "random": steady}
 
 
-def drift_pulls(
-    plan: PlanInformation, every: Mapping[Order, np.ndarray], taken: Order, drift: float
-) -> list[DriftPull]:
-    """Return the bias by a drift [m] in each order (n,) of the poses; none if no positions are measured."""
+def drift_pulls(plan: PlanInformation, every: Mapping[Order, np.ndarray]) -> list[DriftPull]:
+    """Return the bias by the plan's drift in each order (n,) of the poses; none if no positions are measured."""
+    drift = plan.request.drift
     short = max(travel(plan.readings[every["short"]]), np.finfo(float).tiny)
     pulls = []
     for name, order in every.items():
         for what, moved in displacements(plan).items():
             tool, k, sd = drift_bias(plan, order, moved)
             pulls.append(
-                DriftPull(order=name, taken=name == taken, travel=travel(plan.readings[order]) / short, drifting=what,
+                DriftPull(order=name, taken=name == plan.request.order, travel=travel(plan.readings[order]) / short, drifting=what,
                           drift_mm=1e3 * drift, tool_pull_mm=1e3 * drift * tool, pull_sd=drift * sd,
                           parameter=plan.model.parameters[k].name)
             )  # fmt: skip
@@ -118,11 +116,10 @@ def displacements(plan: PlanInformation) -> dict[Drifting, np.ndarray]:
 
     There are none if no positions are measured.
     """
-    if plan.planned.observation.units[:3] != (METRE,) * 3:
+    if plan.request.planned.observation.units[:3] != (METRE,) * 3:
         return {}
     model = plan.model
-    conditions = packed_conditions(model, plan.readings, plan.payload, plan.marker)
-    out = model.point(model.nominal, conditions) - model.robot.base.origin
+    out = model.point(model.nominal, plan.request.rows(model, plan.readings)) - model.robot.base.origin
     grown = out / np.linalg.norm(out, axis=1).mean()
     return {"device": np.tile(np.eye(3), (len(out), 1, 1)), "robot": grown[:, :, None]}
 
@@ -134,7 +131,7 @@ def drift_bias(plan: PlanInformation, order: np.ndarray, moved: np.ndarray) -> t
     """
     time = np.empty(len(order))
     time[order] = np.linspace(-0.5, 0.5, len(order))
-    seen = np.einsum("n,nup,nuk->pk", time, plan.own[:, :3], moved, optimize=True) / plan.planned.sigma
+    seen = np.einsum("n,nup,nuk->pk", time, plan.own[:, :3], moved, optimize=True) / plan.request.planned.sigma
     off = plan.covariance @ seen
     _, sizes, ways = np.linalg.svd(plan.tool.root.T @ off, full_matrices=False)
     pull = np.abs(off @ ways[0]) / np.sqrt(np.diag(plan.covariance))

@@ -191,15 +191,15 @@ def select(
     curve = observability(
         chosen[greedy(chosen, prior, request.number, criterion)], prior, tool, request.there is not None
     )
-    how_many = _how_many(request, whitened, prior, chosen, further, tool, curve, rng)
-    plan = PlanInformation(model, request.planned, poses, request.payload, request.marker, prior, tool, further)
+    plan = PlanInformation(model, request, poses, prior, tool, further)
+    how_many = _how_many(plan, whitened, curve, rng)
     every = orders(plan, rng("order"))
     ordered, reached_from = poses[every[request.order]], None
     if request.both_sides:
         reached_from = vias(model, request, ordered, rng("vias"))
     return Selection(
         planned_poses(model, request, ordered, reached_from), curve, certificate, how_many, ordered,
-        reached_from, plan.worth, tuple(drift_pulls(plan, every, request.order, request.drift)),
+        reached_from, plan.worth, tuple(drift_pulls(plan, every)),
     )  # fmt: skip
 
 
@@ -218,20 +218,15 @@ def _candidates(model: Model, request: SelectionRequest, rng: Draws, say: Say) -
     return readings
 
 
-def _how_many(
-    request: SelectionRequest, whitened: np.ndarray, prior: np.ndarray, chosen: np.ndarray, further: np.ndarray, tool: ToolError,
-    curve: pd.DataFrame, rng: Draws,
-) -> HowMany:  # fmt: skip
+def _how_many(plan: PlanInformation, whitened: np.ndarray, curve: pd.DataFrame, rng: Draws) -> HowMany:
     """Return the gain by ten more poses, the bend of the curve, and the number of poses that meets a tolerance."""
-    met, needed = (None, None)
+    request, met, needed = plan.request, None, None
     if request.tolerance is not None:
-        met, needed = poses_for_tolerance(whitened, prior, tool, request.tolerance, rng("number"))
-    information_matrix = information(chosen, prior)
-    expected = tool.loss(np.linalg.inv(information_matrix))
+        met, needed = poses_for_tolerance(whitened, plan.prior, plan.tool, request.tolerance, rng("number"))
     return HowMany(
         n_poses=request.number,
-        expected_sd_mm=1e3 * expected,
-        next_ten_mm=1e3 * (expected - tool.loss(np.linalg.inv(information(further, information_matrix)))),
+        expected_sd_mm=plan.worth[0].expected_sd_mm,
+        next_ten_mm=next((row.gain_mm for row in plan.worth if row.n_poses > request.number), 0.0),
         knee_poses=knee(curve["n_poses"].to_numpy(), curve["expected_sd_mm"].to_numpy()),
         tolerance_mm=None if request.tolerance is None else 1e3 * request.tolerance,
         enough_poses=met,

@@ -14,9 +14,8 @@ from functools import cached_property
 
 import numpy as np
 
-from calflow.design.candidates import packed_conditions
 from calflow.design.optimality import ToolError, information
-from calflow.design.planned import Planned
+from calflow.design.planned import SelectionRequest
 from calflow.design.search import SHORTLIST, bound_allows, greedy, search_poses, sensitivities
 from calflow.files.tables import column
 from calflow.files.words import rounded
@@ -54,17 +53,15 @@ class Worth:
 
 @dataclass(frozen=True, eq=False)
 class PlanInformation:
-    """A plan and its information: poses (n, n_joints), and the prior information (n_parameters, n_parameters).
+    """A plan and its information: readings (n, n_joints), and the prior information (n_parameters, n_parameters).
 
     Parameters are scaled by their priors' standard deviations; further (n_further, n_units, n_parameters): whitened
     Jacobians of the poses that would be measured next, the best first.
     """
 
     model: Model
-    planned: Planned
+    request: SelectionRequest
     readings: np.ndarray
-    payload: str
-    marker: str
     prior: np.ndarray
     tool: ToolError
     further: np.ndarray
@@ -72,17 +69,16 @@ class PlanInformation:
     @cached_property
     def own(self) -> np.ndarray:
         """The poses' whitened Jacobians (n, n_units, n_parameters)."""
-        return self._whitened(self.model, self.payload, self.marker)
+        return self._whitened(self.model, self.request)
 
     @cached_property
     def covariance(self) -> np.ndarray:
         """The posterior covariance with the poses, (n_parameters, n_parameters)."""
         return np.linalg.inv(information(self.own, self.prior))
 
-    def _whitened(self, model: Model, payload: str, marker: str) -> np.ndarray:
+    def _whitened(self, model: Model, request: SelectionRequest) -> np.ndarray:
         """Return the whitened Jacobians with another model, payload or marker, (n, n_units, n_parameters)."""
-        conditions = packed_conditions(model, self.readings, payload, marker)
-        return self.planned.whitened(model, model.nominal, conditions) * model.prior_sd
+        return request.whitened(model, request.rows(model, self.readings))
 
     @property
     def additions(self) -> Iterator[tuple[str, int, int, np.ndarray]]:
@@ -91,17 +87,18 @@ class PlanInformation:
         current = information(self.own, self.prior)
         every_other = np.arange(n) % 2 == 1
         for name in robot.payloads:
-            if name != self.payload:
-                mixed = np.where(every_other[:, None, None], self._whitened(self.model, name, self.marker), self.own)
+            if name != self.request.payload:
+                loaded = self._whitened(self.model, replace(self.request, payload=name))
+                mixed = np.where(every_other[:, None, None], loaded, self.own)
                 yield f"payload '{name}' at every other pose", n, n, information(mixed, self.prior)
-        others = [name for name in robot.markers if name != self.marker]
+        others = [name for name in robot.markers if name != self.request.marker]
         for name in others:
             words = f"marker '{name}' measured at every pose too"
-            yield words, n, 2 * n, information(self._whitened(self.model, self.payload, name), current)
+            yield words, n, 2 * n, information(self._whitened(self.model, replace(self.request, marker=name)), current)
         if not others:
             words = f"a second marker, {1e3 * ASIDE:.0f} mm beside the first, measured at every pose too"
             yield words, n, 2 * n, current + self._second_marker()
-        if isinstance(self.planned.observation, Position):
+        if isinstance(self.request.planned.observation, Position):
             yield "a second station that measures every pose too", n, 2 * n, current + self._second_station()
         yield "every pose measured twice", n, 2 * n, information(self.own, current)
         if more := len(self.further):
@@ -110,20 +107,20 @@ class PlanInformation:
     def _second_marker(self) -> np.ndarray:
         """Return the information of a marker not in the robot file, offset along the flange axis with the largest lever."""
         robot, effects = self.model.robot, [effect.id for effect in self.model.effects]
-        first = np.array(robot.markers[self.marker].point)
+        first = np.array(robot.markers[self.request.marker].point)
         aside = np.where(np.arange(3) == np.argmin(np.abs(first[:2])), ASIDE, 0.0)
         markers = Named({**robot.markers, SECOND: Marker(tuple(first + aside))})
         model = build(replace(robot, markers=markers), effects, self.model.given, self.model.observations)
-        return self._marginal_information(model, self._whitened(model, self.payload, SECOND))
+        return self._marginal_information(model, self._whitened(model, replace(self.request, marker=SECOND)))
 
     def _second_station(self) -> np.ndarray:
         """Return the information of a second device with the same noise at an unknown pose."""
         second = Position.at(Series(station=Station(SECOND)), (0.0,) * 6)
         model = replace(self.model, observations=(*self.model.observations, second))
-        conditions = packed_conditions(model, self.readings, self.payload, self.marker)
+        conditions = self.request.rows(model, self.readings)
         reported = np.vstack([model.point(model.nominal, conditions).T, np.ones(len(self.readings))])
         jacobian = model.observed_jacobian(second, model.nominal, conditions, reported)
-        return self._marginal_information(model, jacobian * model.prior_sd / self.planned.sigma)
+        return self._marginal_information(model, jacobian * model.prior_sd / self.request.planned.sigma)
 
     def _marginal_information(self, model: Model, whitened: np.ndarray) -> np.ndarray:
         """Return the information of a wider model's Jacobians (n, n_units, n_wider) with its own parameters marginalised."""

@@ -115,7 +115,9 @@ class BackgroundBasis:
         square, axes = np.linalg.eigh(root.T @ root)
         kept = np.argsort(-square)[: min(MODES, int(np.count_nonzero(square > ROUNDING * square[-1])))]
         whole = (root @ axes[:, kept]).T
-        parts = tuple(_few(whole[:, spans[k]]) for k in moving)
+        # LAPACK's gesdd may fail on nearly dependent functions.
+        svds = (scipy.linalg.svd(whole[:, spans[k]], full_matrices=False, lapack_driver="gesvd") for k in moving)
+        parts = tuple((left * value)[:, value > FAINT * value[0]] for left, value, _ in svds)
         modes = regressors.matrix.times(scale[:, None] * whole.T / square[kept])
         return BackgroundBasis(modes, tuple(kinds[k] for k in moving), parts, fitted.problem.weight)
 
@@ -220,15 +222,6 @@ def _root(products: np.ndarray) -> np.ndarray:
     root = np.zeros((len(products), rank))
     root[order - 1] = np.tril(factor)[:, :rank]
     return root
-
-
-def _few(waves: np.ndarray) -> np.ndarray:
-    """Return fewer functions (n_modes, …) of the same covariance as these (n_modes, n_waves)."""
-    # By the smaller Gram matrix: LAPACK's gesdd may fail on nearly dependent functions.
-    fewer_modes = len(waves) < waves.shape[1]
-    square, axes = np.linalg.eigh(waves @ waves.T if fewer_modes else waves.T @ waves)
-    kept = square > FAINT**2 * square[-1]
-    return np.asarray(axes[:, kept] * np.sqrt(square[kept]) if fewer_modes else waves @ axes[:, kept])
 
 
 def background(fitted: Fitted, basis: BackgroundBasis, without: Collection[str] = ()) -> Background | None:
