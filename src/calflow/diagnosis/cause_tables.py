@@ -179,7 +179,7 @@ def _sizes(cause: Cause, values: np.ndarray) -> np.ndarray:
     travel = cause.effect.travel(cause.joint) if cause.joint else None
     if travel:
         return np.asarray(np.sqrt(np.einsum("ni,ij,nj->n", values, travel.products, values)))
-    return np.abs(sizes(cause, values))
+    return np.abs(sizes(cause, values)[0])
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -337,22 +337,18 @@ class Amplitude:
 
 def amplitude(cause: Cause, values: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
     """Return one figure for a cause's parameters, and its standard deviation; a single parameter keeps its sign."""
-    if len(values) == 1:
-        return float(values[0]), float(np.sqrt(covariance[0, 0]))
-    p = ca.SX.sym("p", len(values))
-    size = cause.size_of(p)
-    figure, slope = (
-        np.array(output).ravel() for output in ca.Function("size", [p], [size, ca.gradient(size, p)])(values)
-    )
-    return float(figure[0]), float(np.sqrt(slope @ covariance @ slope))
+    (figure,), (slope,) = sizes(cause, values[None])
+    return float(figure), float(np.sqrt(slope @ covariance @ slope))
 
 
-def sizes(cause: Cause, values: np.ndarray) -> np.ndarray:
-    """Return the size of a cause for values of its parameters (n, n_parameters), as findings state it, (n,)."""
+def sizes(cause: Cause, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the size of a cause for values of its parameters (n, n_parameters), as findings state it, (n,), and its gradient."""
     if values.shape[1] == 1:
-        return values[:, 0]
+        return values[:, 0], np.ones(values.shape)
     p = ca.SX.sym("p", values.shape[1])
-    return np.array(ca.Function("size", [p], [cause.size_of(p)])(values.T)).ravel()
+    size = cause.size_of(p)
+    figures, slopes = ca.Function("size", [p], [size, ca.gradient(size, p)])(values.T)
+    return np.array(figures).ravel(), np.array(slopes).T
 
 
 def found_amplitude(finding: Detection, fitted: Fitted) -> Amplitude:
@@ -378,7 +374,7 @@ def found_amplitude(finding: Detection, fitted: Fitted) -> Amplitude:
         other, other_sd = amplitude(form, values, covariance)
         square += share * (other_sd**2 + (other - estimate) ** 2)
         if number := round(DRAWS * share):
-            drawn.append(sizes(form, rng.multivariate_normal(values, covariance, number, method="eigh")))
+            drawn.append(sizes(form, rng.multivariate_normal(values, covariance, number, method="eigh"))[0])
     low, high = np.quantile(np.concatenate(drawn), INTERVAL)
     return Amplitude(estimate, float(np.sqrt(square)), float(low), float(high))
 
