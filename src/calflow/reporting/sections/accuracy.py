@@ -154,8 +154,7 @@ def new_poses_words(summary: FitSummary, held_out: float) -> str:
     noise = math.sqrt(3) * (summary.sigma_mm or 0.0)
     if held_out > math.hypot(noise, CONTRADICTED * (summary.new_poses_limit_mm or math.inf)):
         return f"the fit predicts {summary.at_new_poses}, but held-out poses are off by {mm(held_out)} mm: do not rely on it."
-    beyond_fit = "in addition to an error like that left by the fit, noise or not"
-    return f"{summary.at_new_poses}, {'without the noise' if summary.noise_known else beyond_fit}."
+    return f"{summary.at_new_poses}{', without the noise' * summary.noise_known}."
 
 
 def certainty_words(certainty: Certainty, noise_known: bool) -> str:
