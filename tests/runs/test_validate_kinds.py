@@ -101,12 +101,14 @@ def test_a_wire_judges_the_robot_that_it_calibrated(calibrated):
 
 def test_new_sockets_are_placed_by_their_own_rows(calibrated):
     """Fails if a pair of sockets that no fit has seen is refused, or what placing it takes off the errors flatters the robot."""
-    calibrated.measure(touches([f"new {k}" for k in range(12)], 2, 10), "touches.csv")
+    calibrated.measure(touches([f"new {k}" for k in range(40)], 2, 10), "touches.csv")
     found = validate(calibrated / "runs", calibrated / "touches.csv")
-    assert found.summary.freedom_lost == 12 * 5
+    assert found.summary.freedom_lost == 40 * 5
     assert any("were placed by these rows" in note for note in found.summary.notes)
-    noise = 1e3 * TOUCH * np.sqrt(3)  # without the leverage the errors would be 0.76 of this, and the robot's
-    assert 0.9 * noise < found.judged.rms_mm < 1.2 * found.summary.promised_mm
+    noise = (
+        1e3 * TOUCH * np.sqrt(3)
+    )  # of which the sample's scatter is 4 %; without the leverage 0.76 of it would be left
+    assert 0.86 * noise < found.judged.rms_mm < 1.2 * found.summary.promised_mm
 
 
 def test_a_socket_that_was_touched_once_shows_no_error(calibrated):

@@ -16,7 +16,7 @@ import numpy as np
 
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import Regressors, Rows, TallMatrix
-from calflow.diagnosis.screening import Score, Screening
+from calflow.diagnosis.screening import Score, Screening, by_place
 from calflow.diagnosis.trial import Detection
 from calflow.effects.base import IN_ORDER, Variable
 from calflow.effects.cause import Cause
@@ -37,6 +37,8 @@ MOST = 40  # forms that are weighed so, the likeliest
 def with_form_errors(finding: Detection[Cause], fitted: Fitted, apart: Regressors[Cause]) -> Detection[Cause]:
     """Return a finding with its near rivals, in each of their forms, weighed with form errors, as is its own cause.
 
+    Only places are compared so: against nothing or an unnamed error the cause counts as it is, and which of its forms it has, and
+    of what size it is then, is told by their evidence alone.
     apart are the regressors of the fitted model without the cause.
     """
     columns = {candidate.cause: candidate.columns for candidate in apart.candidates}
@@ -60,9 +62,13 @@ def with_form_errors(finding: Detection[Cause], fitted: Fitted, apart: Regressor
         form.score.cause: form.gain(information[span, span], seen.score[span], apart.prior_sd, seen)
         for form, span in zip(forms, starmap(slice, pairwise(ends)), strict=True)
     }
-    # Against nothing, or an unnamed error, the cause counts as it is.
-    own = gains[finding.cause]
-    scores = (replace(score, cost=score.cost + own - gains.get(score.cause, own)) for score in finding.scores)
+    place, usual = finding.cause.place, gains[finding.cause]
+    weighed = [replace(score, cost=score.cost - gains.get(score.cause, usual)) for score in finding.scores]
+    own = finding.cost - by_place(weighed)[place][0]
+    scores = (
+        before if before.cause.place == place else replace(score, cost=score.cost + own)
+        for before, score in zip(finding.scores, weighed, strict=True)
+    )
     return replace(finding, scores=tuple(sorted(scores, key=lambda score: score.cost)))
 
 
