@@ -356,7 +356,7 @@ def test_few_poses_are_not_as_good_as_the_device() -> None:
         "Calibrated with few poses: at new ones expect an RMS error of 0.356 mm (with 95 % certainty at most 0.613 mm)."
     )
     unknown = judgement(results({**QUIET, **summary(new_poses_mm=0.356, noise_sources=("estimated",))}))
-    assert unknown == f"{few[:-1]}, in addition to an error like that left by the fit, noise or not."
+    assert unknown == f"{few[:-1]}, in addition to what the fit leaves."
 
 
 def test_a_reader_is_not_told_that_nothing_matters_beside_what_was_found() -> None:

@@ -200,7 +200,7 @@ class FitSummary:
         if self.new_poses_mm is None:
             return ""
         limit = f" (with 95 % certainty at most {mm(self.new_poses_limit_mm)} mm)" if self.new_poses_limit_mm else ""
-        besides = "" if self.noise_known else ", in addition to an error like that left by the fit, noise or not"
+        besides = "" if self.noise_known else ", in addition to what the fit leaves"
         return f"{mm(self.new_poses_mm)} mm{limit}{besides}"
 
 

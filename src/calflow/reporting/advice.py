@@ -188,7 +188,7 @@ def few_poses(outcome: RunOutcome) -> Iterator[Advice]:
     summary, poses = outcome.fit_summary, outcome.summary.training_poses
     if summary.times_noise > 1 and not summary.lacks_fit:
         sentence = (
-            f"{plural(poses, 'pose')} are too few for what is fitted: at new poses like these expect an RMS error of "
+            f"{plural(poses, 'pose')} are too few for what is fitted. At new poses like these expect an RMS error of "
             f"{summary.at_new_poses}."
         )
         yield Advice(2, sentence, poses=math.ceil(poses * (2 * _share_taken(outcome) - 1)))
