@@ -59,7 +59,7 @@ def test_what_wanders_is_found_at_its_size():
     assert ("time",) in left.inputs
     k = left.inputs.index(("time",))
     assert left.gain > 20
-    size = np.sqrt(((left.modes @ left.parts[k]) ** 2).sum(axis=1).mean())
+    size = np.sqrt(((left.effects @ left.parts[k]) ** 2).sum(axis=1).mean())
     assert 0.4 < size < 1.5  # of the noise, of which a shift that stays is geometry's
     assert left.degrees_of_freedom[k] < 60
 

@@ -2,52 +2,72 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 
-from calflow.diagnosis.regressors import Background
+from calflow.diagnosis.regressors import Background, Candidate, Regressors, TallMatrix, principal
+from calflow.diagnosis.screening import Screening
 
-N, WAVES = 300, 7  # more rows than are whitened at once
-
-
-@pytest.fixture(scope="module")
-def left():
-    """A background of two parts, and the covariance that it stands for."""
-    rng = np.random.default_rng(3)
-    waves = rng.standard_normal((N, WAVES)), 0.5 * rng.standard_normal((N, 3))
-    weight = rng.uniform(0.5, 2.0, N)
-    background = Background((("q1",), ("time",)), (), np.eye(N), waves, weight, (WAVES, 3.0), 18.0, 8)
-    return background, np.eye(N) + sum(part @ part.T for part in waves)
-
-
-def whitened(correlation, values):
-    """The values as tests see them."""
-    correlation.whiten(values)
-    return values
+N, WAVES = 300, 7
+RNG = np.random.default_rng(3)
+PARTS = RNG.standard_normal((N, WAVES)), 0.5 * RNG.standard_normal((N, 3))
+WEIGHT = RNG.uniform(0.5, 2.0, N)
+BACKGROUND = Background((("q1",), ("time",)), (), *principal(np.eye(N), PARTS), WEIGHT, (WAVES, 3.0), 18.0, 8)
+JACOBIAN, PRECISION, PULL = (
+    RNG.standard_normal((N, 4)),
+    np.array([1e-6, 0.3, 2.0, 1e-6]),
+    np.array([0.0, 0.4, -1.0, 0.0]),
+)
 
 
-def test_whitened_is_independent(left):
-    """Fails if what is whitened keeps a correlation, or its scale changes."""
-    background, covariance = left
-    root = whitened(background.correlation(background.weight), np.eye(N))
-    assert root @ covariance @ root.T == pytest.approx(np.eye(N), abs=0.05)
+@dataclass(frozen=True)
+class Pair:
+    """A cause of two parameters."""
+
+    id: str = "pair"
+    part: str = ""
+    place = ("pair", "")
+    bounds = np.array([[-np.inf] * 2, [np.inf] * 2])
 
 
-def test_rows_that_count_less_show_less_of_it(left):
-    """Fails if weights that rows get later do not reach the background, or their common level does."""
-    background, covariance = left
-    factor = np.linspace(1.0, 3.0, N)
-    root = whitened(background.correlation(5 * background.weight / factor), np.eye(N))
-    scaled = np.median(1 / factor) ** -2 * (covariance - np.eye(N)) / np.outer(factor, factor) + np.eye(N)
-    assert root @ scaled @ root.T == pytest.approx(np.eye(N), abs=0.05)
+def linearised(matrix: np.ndarray, residual: np.ndarray) -> Regressors:
+    """A linear model with priors, and the columns that are tested beside it."""
+    candidates = (Candidate(Pair(), np.arange(2)),)
+    rss = float(PULL**2 @ (1 / PRECISION))
+    return Regressors(residual, JACOBIAN, PRECISION, PULL, rss, TallMatrix.held(matrix), np.full(2, 0.7), candidates)
 
 
-def test_what_a_part_makes_uncertain_is_as_sure_as_its_size(left):
+def beside(covariance: np.ndarray, matrix: np.ndarray, residual: np.ndarray) -> Screening:
+    """The same by the textbook: all rows whitened by their covariance (Aitken 1936)."""
+    root = np.linalg.inv(np.linalg.cholesky(covariance))
+    rows = linearised(root @ matrix, root @ residual)
+    return Screening(Regressors(**vars(rows) | {"jacobian": root @ JACOBIAN}))
+
+
+@pytest.mark.parametrize("factor", [np.ones(N), np.linspace(1.0, 3.0, N)], ids=["as weighed", "weighed otherwise"])
+def test_tests_are_those_by_the_covariance(factor):
+    """Fails if what rows share is left in, or costs freedom, or later weights of rows do not reach it, or their level does."""
+    scaled = 1 / factor / np.median(1 / factor)
+    shared = scaled[:, None] * np.hstack(PARTS)
+    covariance = np.eye(N) + shared @ shared.T
+    residual = np.linalg.cholesky(covariance) @ RNG.standard_normal(N)
+    matrix = RNG.standard_normal((N, 2))
+    one = Screening(linearised(matrix, residual).beside(BACKGROUND, WEIGHT / factor * 5))
+    other = beside(covariance, matrix, residual)
+    assert one.chi2 == pytest.approx(other.chi2)
+    assert one.degrees_of_freedom == pytest.approx(other.degrees_of_freedom)
+    assert one.change[:4] == pytest.approx(other.change)
+    assert one.scores[0].estimate == pytest.approx(other.scores[0].estimate)
+    assert one.scores[0].covariance == pytest.approx(other.scores[0].covariance)
+    assert one.scores[0].cost == pytest.approx(other.scores[0].cost, abs=1e-6)
+
+
+def test_what_a_part_makes_uncertain_is_as_sure_as_its_size():
     """Fails if an amplitude that only a badly known background makes uncertain counts as if all rows told its variance."""
-    background, _ = left
-    correlation = background.correlation(background.weight)
-    inside, outside = 30 * background.parts[1][:, 0], np.linalg.svd(np.hstack(background.parts))[0][:, -1]
-    both = whitened(correlation, np.column_stack([inside, outside]))
-    sure = correlation.degrees_of_freedom(correlation.modes.T @ both, (both**2).sum(axis=0), 500.0)
+    outside = np.linalg.svd(np.hstack([*PARTS, JACOBIAN]))[0][:, -1]
+    matrix = np.column_stack([30 * PARTS[1][:, 0], outside])
+    sure = Screening(linearised(matrix, np.zeros(N)).beside(BACKGROUND, WEIGHT)).amplitude_freedom
     assert sure[0] < 6
-    assert sure[1] == pytest.approx(500.0, rel=0.01)
+    assert sure[1] == pytest.approx(N, rel=0.01)

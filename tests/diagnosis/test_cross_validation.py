@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from calflow.diagnosis.background import BackgroundBasis
-from calflow.diagnosis.extension import carried_over, left_out_errors, pose_blocks, with_background
+from calflow.diagnosis.background import BackgroundBasis, background
+from calflow.diagnosis.extension import carried_over, left_out_errors, pose_blocks
+from calflow.diagnosis.fitted import Fitted
+from calflow.diagnosis.regressors import Regressors
 from diagnosis.found import cause, hidden, start
 from diagnosis.test_unexplained import fitted
 from estimation.data import SIGMA
+
+
+def left_by(known: Fitted) -> Regressors:
+    """The model linearised with the background that it leaves."""
+    return replace(known, background=background(known, BackgroundBasis.of(known))).beside
 
 
 def test_a_true_cause_carries_over_to_blocks_that_were_left_out():
     """Fails if left-out blocks are not predicted from the others alone, or a needless cause is said to help there."""
     eccentric, needless = cause("joint-eccentricity", "joint1", order=2), cause("gear-ratio-error", "joint4")
     known = start(hidden([(eccentric, (1.5e-4, -1e-4))])).with_causes([eccentric, needless])
-    beside, kinds = with_background(known, BackgroundBasis.of(known)), pose_blocks(known)
+    beside, kinds = left_by(known), pose_blocks(known)
     assert all(len(set(kind)) > 3 for kind in kinds)
     found, not_there = (carried_over(known, one, beside, kinds) for one in known.causes)
     assert found.holds
@@ -33,8 +42,7 @@ def test_a_smooth_error_does_not_decide_whether_a_cause_carries_over():
         data.table[["x", "y", "z"]] += 5 * SIGMA * smooth
         known = start(data).with_causes([eccentric])
         alone, beside = (
-            carried_over(known, eccentric, model, pose_blocks(known))
-            for model in (known.alone, with_background(known, BackgroundBasis.of(known)))
+            carried_over(known, eccentric, model, pose_blocks(known)) for model in (known.alone, left_by(known))
         )
         assert beside.holds
         gained, without = gained + beside.gain[0], without + alone.gain[0]
@@ -47,7 +55,7 @@ def test_what_is_missed_is_that_of_a_fit_to_the_other_rows():
     known = start(hidden([(eccentric, (1.5e-4, -1e-4))])).with_causes([eccentric, needless])
     gone = np.array([0, 3])
     value = known.fit.estimate[np.flatnonzero(~known.fit.at_bound)][gone]
-    whole = with_background(known, BackgroundBasis.of(known))
+    whole = left_by(known)
     for block in pose_blocks(known):
         for model in (whole, whole.without(gone, value)):
             for number, missed in zip(np.unique(block), left_out_errors(model, block), strict=True):
@@ -69,7 +77,7 @@ def test_a_curve_in_time_is_not_asked_for_times_that_were_left_out():
     known = before.with_causes([curve])
     row, (in_joints,) = np.arange(len(known.data)), pose_blocks(known)
     in_time = (8 * row // len(row))[known.problem.row]
-    beside = with_background(known, BackgroundBasis.of(known))
+    beside = left_by(known)
     told = carried_over(known, curve, beside, [in_joints, in_time])
     assert told.holds
     assert told.gain == carried_over(known, curve, beside, [in_joints]).gain

@@ -73,7 +73,7 @@ def test_a_joint_that_does_not_repeat_is_not_noise_of_the_device():
     noisier = seen.weighed(grown.sigma(seen.data, seen.device)) if grown else seen
     standstills = Standstills.of(noisier, BackgroundBasis.of(seen))
     at_rest = [standstills.unexplained(k) for k in standstills.joints]
-    (left,) = unexplained(seen, 2e-3, np.random.default_rng(1), lambda _: None, at_rest, standstills.correlation)
+    (left,) = unexplained(seen, 2e-3, np.random.default_rng(1), lambda _: None, at_rest, standstills.background)
     assert left.inputs == (POSE, "q2")
     size, low, high = (float(figure) for figure in re.findall(r"[\d.]+", left.detail)[:3])
     assert low < 150 < high < 1.4 * low

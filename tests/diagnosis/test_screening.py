@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom, kstest
 
-from calflow.diagnosis.regressors import ErrorCorrelation, RegressorProducts, Regressors
+from calflow.diagnosis.regressors import Background, RegressorProducts, Regressors
 from calflow.diagnosis.screening import Catalogue, Screening
 from calflow.diagnosis.stepwise import CauseAcceptance
 from calflow.effects import catalogue
@@ -92,7 +92,8 @@ def test_sums_without_a_parameter_are_those_of_the_rows(regressors):
     """Fails if what was added up once is not what the rows of the model without some parameters add up to."""
     rng = np.random.default_rng(6)
     modes = np.linalg.qr(rng.standard_normal((len(regressors.residual), 3)))[0]
-    whole = replace(regressors, correlation=ErrorCorrelation(modes, np.ones(3), ()), added_up=None)
+    background = Background((), (), modes, (), np.ones(len(modes)), (), 18.0, 8)
+    whole = regressors.beside(background, background.weight)
     less = whole.without(np.array([1, 4]), np.array([2e-3, -1e-3]))
     for one, other in zip(vars(less.products).values(), vars(RegressorProducts.of(less)).values(), strict=True):
         assert np.allclose(one, other, rtol=1e-9, atol=1e-12 * np.abs(other).max())

@@ -36,12 +36,12 @@ def linearised():
     )
     together = replace(asked, blocks=tuple(blocks))
     modes = np.linalg.qr(rng.standard_normal((asked.size, 4)))[0]
-    background = Background((("q1",),), (), modes, (3.0 * np.eye(4),), asked.weight, (4.0,), 18.0, 8)
+    background = Background((("q1",),), (), 3.0 * modes, (np.eye(4),), asked.weight, (4.0,), 18.0, 8)
 
     def at(beside: bool, causes: Sequence[str] = TESTED) -> Regressors:
         problem = together if beside else asked
-        correlation = background.correlation(asked.weight) if beside else None
-        return Regressors.of(found, problem, Catalogue.of(data, ("geometry",), causes).effects, poses, correlation)
+        effects = Catalogue.of(data, ("geometry",), causes).effects
+        return Regressors.of(found, problem, effects, poses, background if beside else None)
 
     return at
 

@@ -20,7 +20,7 @@ import numpy as np
 import scipy
 
 from calflow.diagnosis.fitted import Fitted
-from calflow.diagnosis.regressors import Background, Regressors, TallMatrix
+from calflow.diagnosis.regressors import Background, Regressors, TallMatrix, principal
 from calflow.diagnosis.screening import Screening
 from calflow.effects.cause import Cause
 from calflow.estimation.least_squares import LeastSquares
@@ -308,8 +308,7 @@ class Sizes:
         return Background(
             tuple(self.basis.kinds[k][0] for k in kept),
             tuple(function for k in kept for function in self.basis.kinds[k][1]),
-            self.modes,
-            tuple(self.basis.parts[k] * np.sqrt(variance[k]) for k in kept),
+            *principal(self.modes, [self.basis.parts[k] * np.sqrt(variance[k]) for k in kept]),
             self.problem.weight,
             tuple(map(float, self.components.degrees_of_freedom(variance)[kept])),
             self.components.cost(np.zeros(len(variance))) - self.components.cost(variance),

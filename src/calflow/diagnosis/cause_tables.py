@@ -50,7 +50,9 @@ class CandidateRow:
         "minus twice the log evidence, which BIC approximates: negative where the cause is favoured", default=NAN
     )
     probability: float = column("posterior probability of this place against the others and none", default=NAN)
-    visible_share: float = column("share of its effect that the model's parameters cannot imitate", default=NAN)
+    visible_share: float = column(
+        "share of its effect that neither the model's parameters nor a background imitate", default=NAN
+    )
     estimate: float = column(SIZE, UNIT, sd="sd", default=NAN)
     sd: float = column("standard deviation of the size", UNIT, default=NAN)
     unit: str = column("of the size (SI)", default="")

@@ -257,7 +257,7 @@ def search_causes(
         say(f"the noise grows with range: {rounded(1e6 * grown.slope)} µm/m, p = {grown.p:.2g}")
     significance = SHARES["unexplained"] * false_alarm
     at_rest = [standstills.unexplained(k) for k in standstills.joints]
-    left = unexplained(extended.fitted, significance, rng("decoys"), say, at_rest, standstills.correlation)
+    left = unexplained(extended.fitted, significance, rng("decoys"), say, at_rest, standstills.background)
     every = Catalogue.of(train, have)
     if catalogue or leave_out:
         extended = weighed_against(extended, every)

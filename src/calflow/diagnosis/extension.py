@@ -66,7 +66,7 @@ class FittedTrial(Trial[Cause]):
         fitted, model, free = self.fitted, self.fitted.model, np.flatnonzero(~self.fitted.fit.at_bound)
         settled = Screening(fitted.beside)
         estimate = fitted.fit.estimate.copy()
-        estimate[free] += settled.change
+        estimate[free] += settled.change[: len(free)]
         every = [_relative_amplitudes(fitted, cause, estimate, self.catalogue.variants) for cause in self.causes]
         columns = np.concatenate([np.zeros(0, dtype=int), *(model.columns(cause) for cause in self.causes)])
         shown = np.flatnonzero(np.isin(free, columns))
@@ -236,18 +236,6 @@ def pose_blocks(fitted: Fitted) -> list[np.ndarray]:
     return [kind[fitted.problem.row] for kind in kinds]
 
 
-def with_background(fitted: Fitted, basis: BackgroundBasis) -> Regressors[Cause]:
-    """Return a fitted model linearised with the background that it leaves.
-
-    Otherwise a smooth error several times as large as the noise would decide whether a cause gains.
-    """
-    left, regressors = background(fitted, basis), fitted.alone
-    if left is not None:  # its amplitudes are further parameters, of their normal prior
-        errors = left.correlation(fitted.problem.weight)
-        regressors = regressors.with_parameters(errors.modes * np.sqrt(errors.variance), np.ones(len(errors.variance)))
-    return regressors
-
-
 def left_out_errors(model: Regressors[Cause], block: np.ndarray) -> list[np.ndarray]:
     """Return the whitened prediction errors of each block of residuals (n,), with parameters fitted to the other blocks."""
     rows = [np.flatnonzero(block == number) for number in np.unique(block)]
@@ -277,7 +265,7 @@ def carried_over(fitted: Fitted, cause: Cause, beside: Regressors[Cause], kinds:
 
 def carrying(fitted: Fitted, basis: BackgroundBasis) -> set[Cause]:
     """Return the causes of the model that carry over."""
-    beside, kinds = with_background(fitted, basis), pose_blocks(fitted)
+    beside, kinds = replace(fitted, background=background(fitted, basis)).beside, pose_blocks(fitted)
     return {cause for cause in fitted.causes if carried_over(fitted, cause, beside, kinds).holds}
 
 

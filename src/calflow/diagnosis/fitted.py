@@ -60,7 +60,7 @@ class Fitted:
         return np.asarray(pose * len(self.data.series) + self.data.series_number)
 
     def regressors(self, effects: Sequence[Effect], still: Cause | None = None) -> Regressors[Cause]:
-        """Return the model linearised with these effects at zero, whitened by its background.
+        """Return the model linearised with these effects at zero, beside its background.
 
         still is a cause of the model that is set to zero.
         """
@@ -69,8 +69,7 @@ class Fitted:
             estimate = fit.estimate.copy()
             estimate[self.model.columns(still)] = 0.0
             fit = replace(fit, estimate=estimate)
-        correlation = self.background.correlation(problem.weight) if self.background else None
-        return Regressors.of(fit, problem, effects, self.poses, correlation)
+        return Regressors.of(fit, problem, effects, self.poses, self.background)
 
     @cached_property
     def alone(self) -> Regressors[Cause]:
@@ -131,7 +130,7 @@ class Fitted:
 
     @property
     def beside(self) -> Regressors[Cause]:
-        """The model linearised without further effects, whitened by its background."""
+        """The model linearised without further effects, beside its background."""
         return self.regressors(()) if self.background else self.alone
 
     @cached_property

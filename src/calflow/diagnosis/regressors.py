@@ -3,16 +3,15 @@
 A candidate is one variant of a hypothesis, the interface of a possible cause for tests. Regressors of all rows form a tall
 matrix, held in memory where it fits, else recomputed in each pass over it.
 
-Errors correlated between nearby rows are in the covariance of the tests: white noise and a background of random effects,
-V = s² (I + sum over parts of size² Z Zᵀ), the columns of each part's Z being smooth functions of one input. Residuals and
-regressors are whitened by (V/s²)^-1/2 (generalised least squares: Aitken 1936).
+Errors correlated between nearby rows are white noise and a background of random effects, V = s² (I + Z Zᵀ). The amplitudes of Z
+are further parameters with a standard normal prior, which for the others is generalised least squares with V (Henderson 1975).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, reduce
 from typing import Generic, Protocol, Self, TypeVar
 
@@ -24,7 +23,6 @@ from calflow.estimation.fit import Fit
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.probing import Probe
 
-WHITENED_ROWS = 256  # rows that are whitened at once
 SMALL_MODE = 0.02  # a mode's variance over the noise's, below which it changes no test
 HELD = 100_000_000  # matrix entries that are kept in memory
 USUAL = 1e-3  # m, per axis: largest usual standard deviation of a robot's residuals
@@ -81,75 +79,57 @@ H = TypeVar("H", bound=Hypothesis)
 
 
 @dataclass(frozen=True, eq=False)
-class ErrorCorrelation:
-    """Correlation of errors by a background: orthonormal modes (n, n_modes), and their variances over the noise's.
-
-    parts: the basis functions of each part in modes, (n_modes, n_waves); part_freedom: degrees of freedom of each part's variance.
-    """
-
-    modes: np.ndarray
-    variance: np.ndarray
-    parts: tuple[np.ndarray, ...] = ()
-    part_freedom: tuple[float, ...] = ()
-
-    def whiten(self, values: np.ndarray) -> None:
-        """Multiply values (n, …) by (V/s²)^-1/2 in place, as these are the largest arrays."""
-        along = self.taken(self.modes.T @ values)
-        for start in range(0, len(values), WHITENED_ROWS):
-            part = slice(start, start + WHITENED_ROWS)
-            values[part] -= self.modes[part] @ along
-
-    def taken(self, along: np.ndarray) -> np.ndarray:
-        """Return what whitening subtracts along the modes, from the components along them (n_modes, …)."""
-        return np.asarray(((1 - (1 + self.variance) ** -0.5) * along.T).T)
-
-    def degrees_of_freedom(self, along: np.ndarray, visible: np.ndarray, of_noise: float) -> np.ndarray:
-        """Return the degrees of freedom of the variance of each column's amplitude, shape (n_columns,) (Satterthwaite 1946).
-
-        Where a background dominates whose variance rests on few waves, they are far fewer than the rows.
-
-        Args:
-            along: whitened columns, orthogonal to the model's Jacobian, along the modes, (n_modes, n_columns).
-            visible: their sums of squares over all directions, (n_columns,).
-            of_noise: degrees of freedom of the noise's variance.
-        """
-        along, whole = along / np.sqrt(1 + self.variance)[:, None], np.maximum(visible, np.finfo(float).tiny)
-        left, unsure = np.ones(len(whole)), np.zeros(len(whole))
-        for waves, freedom in zip(self.parts, self.part_freedom, strict=True):
-            share = ((waves.T @ along) ** 2).sum(axis=0) / whole
-            left -= share
-            unsure += share**2 / freedom
-        return np.asarray(1 / (unsure + np.maximum(left, 0.0) ** 2 / of_noise))
-
-
-@dataclass(frozen=True, eq=False)
 class Background:
-    """Errors that no cause explains: random smooth functions of inputs, scaled by their standard deviations over the noise's.
+    """Errors that no cause explains: random smooth functions of inputs, standard normal times their effects.
 
-    inputs: inputs of each part; functions: basis functions of all parts; modes (n, n_modes): directions in which they act; parts:
-    each part's functions in modes, (n_modes, n_waves); weight (n,): whitening factors of the residuals for which the modes were
-    computed; degrees_of_freedom (n_parts,): those of the variances; gain: twice the log-likelihood that all parts add; tried:
-    number of parts that were considered.
+    inputs: inputs of each part; functions: basis functions of all parts; effects (n, n_modes): principal effects on the residuals,
+    whitened by weight (n,); parts: effects of each part's functions in these, (n_modes, n_waves); degrees_of_freedom (n_parts,):
+    those of the variances; gain: twice the log-likelihood that all parts add; tried: number of parts that were considered.
     """
 
     inputs: tuple[tuple[str, ...], ...]
     functions: tuple[Effect, ...]
-    modes: np.ndarray
+    effects: np.ndarray
     parts: tuple[np.ndarray, ...]
     weight: np.ndarray
     degrees_of_freedom: tuple[float, ...]
     gain: float
     tried: int
 
-    def correlation(self, weight: np.ndarray) -> ErrorCorrelation:
-        """Return the correlation of residuals with other whitening factors (n,), equal but for the noise's level."""
+    def at(self, weight: np.ndarray) -> np.ndarray:
+        """Return the effects on residuals with other whitening factors (n,), equal but for the noise's level."""
         ratio = weight / self.weight
-        basis, scaled = np.linalg.qr((ratio / np.median(ratio))[:, None] * self.modes)
-        left, value, _ = np.linalg.svd(scaled @ np.hstack(self.parts), full_matrices=False)
-        kept = value**2 > SMALL_MODE
-        turned = left[:, kept].T @ scaled
-        parts = tuple(turned @ part for part in self.parts)
-        return ErrorCorrelation(basis @ left[:, kept], value[kept] ** 2, parts, self.degrees_of_freedom)
+        return np.asarray((ratio / np.median(ratio))[:, None] * self.effects)
+
+    def amplitude_freedom(self, taken: np.ndarray, visible: np.ndarray, of_noise: float) -> np.ndarray:
+        """Return the degrees of freedom of the variance of each column's amplitude, shape (n_columns,) (Satterthwaite 1946).
+
+        Where a background dominates whose variance rests on few waves, they are far fewer than the rows.
+
+        Args:
+            taken: amplitudes of the effects that imitate each column beside the model, (n_modes, n_columns).
+            visible: what remains of each column's sum of squares, (n_columns,).
+            of_noise: degrees of freedom of the noise's variance.
+        """
+        whole = np.maximum(visible, np.finfo(float).tiny)
+        left, unsure = np.ones(len(whole)), np.zeros(len(whole))
+        for waves, freedom in zip(self.parts, self.degrees_of_freedom, strict=True):
+            share = ((waves.T @ taken) ** 2).sum(axis=0) / whole
+            left -= share
+            unsure += share**2 / freedom
+        return np.asarray(1 / (unsure + np.maximum(left, 0.0) ** 2 / of_noise))
+
+
+def principal(modes: np.ndarray, parts: Sequence[np.ndarray]) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
+    """Return the principal effects of all parts of a background, and each part's functions in these (see `Background`).
+
+    Args:
+        modes: orthonormal directions of the whitened residuals (n, n_modes).
+        parts: effects of each part's functions along them, (n_modes, n_waves), over the noise's standard deviation.
+    """
+    left, value, waves = np.linalg.svd(np.hstack(parts), full_matrices=False)
+    kept, ends = value**2 > SMALL_MODE, np.cumsum([part.shape[1] for part in parts])
+    return modes @ (left * value)[:, kept], tuple(np.split(waves[kept], ends[:-1], axis=1))
 
 
 Rows = slice | np.ndarray
@@ -168,22 +148,14 @@ class TallMatrix:
         return TallMatrix((len(values), values.shape[1]), lambda: [(slice(None), values)])
 
     @staticmethod
-    def remade(probe: Probe, correlation: ErrorCorrelation | None) -> TallMatrix:
-        """Return the regressors of a probe's effects, recomputed in each pass, some hundred rows at a time.
+    def remade(probe: Probe) -> TallMatrix:
+        """Return the regressors of a probe's effects, recomputed in each pass, some hundred rows at a time."""
 
-        They are decorrelated within standstills, and whitened by the correlation of errors between nearby rows.
-        """
-
-        def unwhitened() -> Iterator[tuple[slice, np.ndarray]]:
+        def blocks() -> Iterator[tuple[slice, np.ndarray]]:
             for rows, _, slopes in probe.parts():
                 yield rows, slopes[:, probe.n_parameters :]
 
-        shape = probe.shape[0], probe.width
-        if correlation is None:
-            return TallMatrix(shape, unwhitened)
-        modes = correlation.modes
-        taken = correlation.taken(reduce(np.add, (modes[rows].T @ x for rows, x in unwhitened())))
-        return TallMatrix(shape, lambda: ((rows, x - modes[rows] @ taken) for rows, x in unwhitened()))
+        return TallMatrix((probe.shape[0], probe.width), blocks)
 
     def products(self, columns: np.ndarray) -> np.ndarray:
         """Return the Gram matrix of some columns, (n_own, n_own)."""
@@ -216,8 +188,7 @@ class RegressorProducts:
 
     fitted (n_free, n_free): Jacobian with itself; mixed (n_free, n_columns): Jacobian with regressors; own (n_columns, widest):
     each regressor with those of its candidate; squared (n_columns,): each regressor with itself; fitted_left (n_free,), left
-    (n_columns,): Jacobian and regressors with the residual; along_fitted (n_modes, n_free), along (n_modes, n_columns): both with
-    the modes of a correlation.
+    (n_columns,): Jacobian and regressors with the residual.
     """
 
     fitted: np.ndarray
@@ -226,17 +197,13 @@ class RegressorProducts:
     squared: np.ndarray
     fitted_left: np.ndarray
     left: np.ndarray
-    along_fitted: np.ndarray
-    along: np.ndarray
 
     @staticmethod
     def of(regressors: Regressors) -> RegressorProducts:
         """Return the products of the residual (n,), the Jacobian (n, n_free) and the regressors (n, n_columns)."""
-        residual, jacobian, correlation = regressors.residual, regressors.jacobian, regressors.correlation
+        residual, jacobian = regressors.residual, regressors.jacobian
         gram = np.zeros((regressors.matrix.shape[1], max((len(c.columns) for c in regressors.candidates), default=0)))
-        squared, left = np.zeros(len(gram)), np.zeros(len(gram))
-        modes = correlation.modes if correlation else np.zeros((len(residual), 0))
-        mixed, along = np.zeros((jacobian.shape[1], len(gram))), np.zeros((modes.shape[1], len(gram)))
+        squared, left, mixed = np.zeros(len(gram)), np.zeros(len(gram)), np.zeros((jacobian.shape[1], len(gram)))
         for rows, values in regressors.matrix.blocks():
             for candidate in regressors.candidates:
                 columns = candidate.columns
@@ -246,10 +213,7 @@ class RegressorProducts:
                 squared[columns] += product.diagonal()
             mixed += jacobian[rows].T @ values
             left += values.T @ residual[rows]
-            along += modes[rows].T @ values
-        return RegressorProducts(
-            jacobian.T @ jacobian, mixed, gram, squared, jacobian.T @ residual, left, modes.T @ jacobian, along
-        )
+        return RegressorProducts(jacobian.T @ jacobian, mixed, gram, squared, jacobian.T @ residual, left)
 
     def without(self, gone: np.ndarray, value: np.ndarray) -> RegressorProducts:
         """Return the products with some free parameters (by index) removed, whose estimates are value."""
@@ -260,7 +224,6 @@ class RegressorProducts:
             mixed=self.mixed[keep],
             fitted_left=self.fitted_left[keep] - self.fitted[np.ix_(keep, gone)] @ value,
             left=self.left - self.mixed[gone].T @ value,
-            along_fitted=self.along_fitted[:, keep],
         )
 
 
@@ -269,10 +232,10 @@ class Regressors(Generic[H]):
     """The whitened regressors of all candidates, with the residual and Jacobian of the model.
 
     residual (n,), jacobian (n, n_free), precision (n_free,): the fit's, with its priors; pull (n_free,): the priors' part of the
-    gradient; matrix (n, n_columns): regressors, with prior_sd (n_columns,); correlation: background by which all are whitened
-    (None: independent errors); amplitude_freedom (n_columns,): degrees of freedom of the variance of each column's amplitude, where
-    the correlation does not determine them; posed: share of the residuals that remains if at most six per pose count; added_up: the
-    products, where they follow from others.
+    gradient; matrix (n, n_columns): regressors, with prior_sd (n_columns,); background: errors that rows share (None: independent
+    errors), and random (n_modes,): indices of its amplitudes among the free parameters; amplitude_freedom (n_columns,): degrees of
+    freedom of the variance of each column's amplitude, where the background does not determine them; posed: share of the residuals
+    that remains if at most six per pose count; added_up: the products, where they follow from others.
     """
 
     residual: np.ndarray
@@ -283,7 +246,8 @@ class Regressors(Generic[H]):
     matrix: TallMatrix
     prior_sd: np.ndarray
     candidates: tuple[Candidate[H], ...]
-    correlation: ErrorCorrelation | None = None
+    background: Background | None = None
+    random: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=int))
     amplitude_freedom: np.ndarray | None = None
     posed: float = 1.0
     added_up: RegressorProducts | None = None
@@ -309,11 +273,11 @@ class Regressors(Generic[H]):
         problem: LeastSquares,
         effects: Sequence[Effect],
         poses: np.ndarray | None = None,
-        correlation: ErrorCorrelation | None = None,
+        background: Background | None = None,
     ) -> Regressors[Cause]:
-        """Return the fitted model linearised with all these effects at zero, by one Jacobian.
+        """Return the fitted model linearised with all these effects at zero, by one Jacobian, and a background beside it.
 
-        The problem has the correlation within standstills; correlation is that between nearby rows. poses (n_rows,) numbers the
+        The problem has the correlation within standstills, the background that between nearby rows. poses (n_rows,) numbers the
         rows' poses, of which at most six residuals count. Where residuals are larger than usual, the candidates' priors are widened
         in proportion.
         """
@@ -323,17 +287,14 @@ class Regressors(Generic[H]):
         probe = Probe.of(problem, fit.estimate, effects)
         tall = probe if math.prod(probe.shape) > HELD else None
         left, slopes = (Probe.of(problem, fit.estimate, ()) if tall else probe).whole()
-        if correlation is not None:
-            correlation.whiten(left)
-            correlation.whiten(slopes)
         free = np.flatnonzero(~fit.at_bound)
         offset = fit.estimate - model.prior_mean
         precision = model.prior_sd**-2.0
         scale = max(1.0, problem.scatter / USUAL)
         rows = np.arange(problem.n_rows) if poses is None else poses
         residuals_a_pose = np.bincount(rows[problem.row])
-        matrix = TallMatrix.remade(tall.compiled(PASSES), correlation) if tall else TallMatrix.held(slopes[:, n:])
-        return Regressors(
+        matrix = TallMatrix.remade(tall.compiled(PASSES)) if tall else TallMatrix.held(slopes[:, n:])
+        alone = Regressors(
             left,
             slopes[:, free],
             precision[free],
@@ -342,9 +303,15 @@ class Regressors(Generic[H]):
             matrix,
             large.prior_sd[n:] * scale,
             candidates_of(effects),
-            correlation,
             posed=float(np.minimum(residuals_a_pose, POSE_FREEDOM).sum() / residuals_a_pose.sum()),
         )
+        return alone.beside(background, problem.weight) if background else alone
+
+    def beside(self, background: Background, weight: np.ndarray) -> Regressors[H]:
+        """Return the model beside a background, with whitening factors (n,) of the residuals."""
+        effects, n = background.at(weight), len(self.precision)
+        more = self.with_parameters(effects, np.ones(effects.shape[1]))
+        return replace(more, background=background, random=np.arange(n, len(more.precision)))
 
     def without(self, columns: np.ndarray, value: np.ndarray) -> Regressors[H]:
         """Return the regressors of the model with some free parameters (by index) removed, whose estimates are value."""
@@ -356,6 +323,7 @@ class Regressors(Generic[H]):
             jacobian=self.jacobian[:, keep],
             precision=self.precision[keep],
             pull=self.pull[keep],
+            random=np.flatnonzero(np.isin(keep, self.random)),
             prior_rss=self.prior_rss - float(pull @ pull),
             added_up=self.products.without(columns, value),
         )

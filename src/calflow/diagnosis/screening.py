@@ -77,10 +77,10 @@ class Catalogue:
 class Score(Generic[H]):
     """The score test of one candidate, without a refit.
 
-    drop: reduction of chi²; share: its share of chi²; p: p-value of this test
-    alone; cost: minus twice the log evidence, negative where the candidate is favoured; visible_share: share of the effect that the
-    model's parameters cannot imitate; estimate, covariance: of its parameters; information: S; shown: number of its directions
-    that the data show; left: degrees of freedom of the denominator.
+    drop: reduction of chi²; share: its share of chi²; p: p-value of this test alone; cost: minus twice the log evidence, negative
+    where the candidate is favoured; visible_share: share of the effect that neither the model's parameters nor a background
+    imitate; estimate, covariance: of its parameters; information: S; shown: number of its directions that the data show; left:
+    degrees of freedom of the denominator.
     """
 
     candidate: Candidate[H]
@@ -213,7 +213,7 @@ class Screening(Generic[H]):
 
     @property
     def change(self) -> np.ndarray:
-        """Newton step of the fit's free parameters, (n_free,)."""
+        """Newton step of the free parameters, (n_free,)."""
         return np.asarray(-scipy.linalg.solve_triangular(self._factor.T, self._gradient, lower=False))
 
     def root_covariance(self, parameters: np.ndarray) -> np.ndarray:
@@ -271,7 +271,7 @@ class Screening(Generic[H]):
         return score, chi2 + (pull**2 / r.precision[:, None]).sum(axis=0) - (gradient**2).sum(axis=0)
 
     def imitation(self, columns: np.ndarray) -> np.ndarray:
-        """Return the change of the fit's free parameters by a unit of some columns, (n_free, n_columns)."""
+        """Return the change of the free parameters by a unit of some columns, (n_free, n_columns)."""
         return np.asarray(-scipy.linalg.solve_triangular(self._factor.T, self._projected[:, columns], lower=False))
 
     def amplitudes(self, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -288,10 +288,11 @@ class Screening(Generic[H]):
 
     @cached_property
     def degrees_of_freedom(self) -> float:
-        """Residual degrees of freedom: number of residuals less that of the effective parameters."""
+        """Residual degrees of freedom: number of residuals less that of the effective parameters, a background's left out."""
         r = self.regressors
-        of_priors = scipy.linalg.solve_triangular(self._factor, np.diag(np.sqrt(r.precision)), lower=True)
-        return float(len(r.residual) - len(r.precision) + (of_priors**2).sum())
+        fixed = np.setdiff1d(np.arange(len(r.precision)), r.random)
+        of_priors = self.root_covariance(fixed) * np.sqrt(r.precision[fixed])
+        return float(len(r.residual) - len(fixed) + (of_priors**2).sum())
 
     @property
     def narrowed(self) -> float:
@@ -304,11 +305,10 @@ class Screening(Generic[H]):
         r, n = self.regressors, len(self.regressors.residual)
         if r.amplitude_freedom is not None:
             return r.amplitude_freedom
-        if r.correlation is None:
+        if r.background is None:
             return np.full(r.matrix.shape[1], float(n))
-        imitated = r.products.along_fitted @ scipy.linalg.solve_triangular(self._factor.T, self._projected, lower=False)
         visible = r.products.squared - np.einsum("pc,pc->c", self._projected, self._projected)
-        return r.correlation.degrees_of_freedom(r.products.along - imitated, visible, float(n))
+        return r.background.amplitude_freedom(self.imitation(np.arange(r.matrix.shape[1]))[r.random], visible, float(n))
 
     @cached_property
     def _blocks(self) -> list[_Block]:

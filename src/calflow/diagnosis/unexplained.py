@@ -29,7 +29,7 @@ import scipy
 
 from calflow.diagnosis.background import BackgroundBasis, Field, components_beside, each_pose, uneven_causes
 from calflow.diagnosis.fitted import Fitted
-from calflow.diagnosis.regressors import Background
+from calflow.diagnosis.regressors import Background, principal
 from calflow.diagnosis.screening import MATERIAL, Score, Screening, by_place, place_probabilities
 from calflow.effects import Effect
 from calflow.effects.base import ITS_ANGLE
@@ -357,7 +357,7 @@ class Standstills:
         return UnexplainedStructure((POSE, *(f"q{j + 1}" for j in (k, *rivals))), p, share, (), detail)
 
     @property
-    def correlation(self) -> Background | None:
+    def background(self) -> Background | None:
         """These joints' errors as a background; None where there are none, or only some poses were used."""
         if not len(self.joints) or self.functions.shape[1] < self.fitted.problem.size:
             return None
@@ -366,4 +366,5 @@ class Standstills:
         parts = np.sqrt(self.variance[here])[:, None, None] * np.split(triangle, len(here), axis=1)
         freedom = self.components.degrees_of_freedom(self.variance)[here]
         inputs, tried = tuple((POSE, f"q{k + 1}") for k in self.joints), len(self.reach)
-        return Background(inputs, (), modes, tuple(parts), self.fitted.problem.weight, tuple(freedom), 0.0, tried)
+        weight = self.fitted.problem.weight
+        return Background(inputs, (), *principal(modes, parts), weight, tuple(freedom), 0.0, tried)
