@@ -13,6 +13,7 @@ import pytest
 from applied import predict
 from calflow.effects.thermal_growth import ThermalGrowth
 from calflow.estimation.model_tables import identified
+from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements
 from calflow.robot.robot import Robot
 from calflow.run_folder import read_manifest, read_results
@@ -60,7 +61,7 @@ def test_its_standard_deviations_are_those_of_the_covariance(finished, asked):
     moved = known.errors.moved(known.model, known.estimate, data.conditions)
     both = np.concatenate([jacobian, moved], axis=2) @ known.errors.root(known.errors.about_mean(covariance))
     alone = moved @ known.errors.spread
-    variance = known.errors.rest**2 + (both**2).sum(axis=2) + (alone**2).sum(axis=2)
+    variance = known.errors.rest[METRE] ** 2 + (both**2).sum(axis=2) + (alone**2).sum(axis=2)
     np.testing.assert_allclose(predicted[SD], 1e3 * np.sqrt(variance), rtol=1e-4)
 
 

@@ -17,7 +17,7 @@ from calflow.estimation.identification import fit_effects
 from calflow.estimation.variance_components import SIZES
 from calflow.model import build
 from calflow.study import load_study
-from estimation.data import POSES, stated, wavering
+from estimation.data import POSES, stated, variance, wavering
 
 
 @pytest.fixture
@@ -85,8 +85,8 @@ def test_noise_beyond_the_stated_is_an_error_of_each_pose(fitted, stated_as, lar
     louder = replace(louder, fit=replace(fitted.fit, problem=louder.problem))
     site = at_its_poses(louder)
     lacking = task_error(louder, (), (), site, "rms", np.random.default_rng(1)).lacking
-    extra = np.sqrt(3) * fitted.problem.scatter * np.sqrt(1 - 1 / larger**2)
-    assert np.median(lacking) == pytest.approx(extra, abs=0.35 * np.sqrt(3) * fitted.problem.scatter)
+    extra = np.sqrt(3) * fitted.problem.scatter() * np.sqrt(1 - 1 / larger**2)
+    assert np.median(lacking) == pytest.approx(extra, abs=0.35 * np.sqrt(3) * fitted.problem.scatter())
 
 
 def test_the_task_s_error_is_as_large_as_promised_where_a_misfit_is_smooth():
@@ -99,7 +99,7 @@ def test_the_task_s_error_is_as_large_as_promised_where_a_misfit_is_smooth():
     assert fitted.errors.functions
     site = TaskSlopes(fitted, there.conditions, model.point_jacobian(fit.estimate, there.conditions))
     drawn = task_error(fitted, (), (), site, "rms", np.random.default_rng(1))
-    promised = fitted.errors.variance(model, fit.estimate, fitted.covariance, there.conditions)
+    promised = variance(fitted.errors, model, fit.estimate, fitted.covariance, there.conditions)
     assert drawn.quantile(0.5) == pytest.approx(np.sqrt(promised.sum(axis=1).mean()), rel=0.1)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,7 +19,7 @@ from calflow.diagnosis.verdict import (
 )
 from calflow.effects.cause import Cause
 from calflow.effects.wording import UNEXPLAINED
-from calflow.estimation.calibrated_model import Alternative, choice_errors
+from calflow.estimation.calibrated_model import Alternative, choice_errors, points_at
 from calflow.estimation.model_tables import AlternativeParameter, _alternatives, alternatives_table
 from calflow.files.tables import from_frame
 from diagnosis.found import cause, hidden, start
@@ -134,6 +133,6 @@ def test_a_prediction_is_wider_by_what_the_others_say(final):
     other = Alternative(bare, estimate, 0.25)
     apart = bare.point(estimate, conditions) - final.model.point(final.fit.estimate, conditions)
     assert np.abs(apart).max() > 1e-5
-    known = SimpleNamespace(model=final.model, estimate=final.fit.estimate, alternatives=(other,))
-    assert (choice_errors(known, conditions) ** 2).sum(axis=2) == pytest.approx(0.25 * apart**2)
-    assert not choice_errors(SimpleNamespace(**vars(known) | {"alternatives": ()}), conditions).size
+    known = final.model, final.fit.estimate, points_at(conditions)
+    assert (choice_errors((other,), *known) ** 2).sum(axis=2) == pytest.approx(0.25 * apart**2)
+    assert not choice_errors((), *known).size

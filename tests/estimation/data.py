@@ -14,6 +14,7 @@ from calflow.estimation.extrapolation import beyond_measured
 from calflow.estimation.fit import fit_reweighted
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import Noise, PerUnit, Source
+from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, build
 from robots import industrial
@@ -87,7 +88,7 @@ def calibration(
     n = len(estimate)
     return CalibratedModel(
         model, estimate, covariance, np.zeros(n, dtype=bool) if at_bound is None else at_bound,
-        (SeriesNoise(sigma, source, sigma),), PerUnit(), "linear", ErrorModel.white(0.0, n),
+        (SeriesNoise(sigma, source, sigma),), PerUnit(), "linear", ErrorModel.white(PerUnit(), n),
     )  # fmt: skip
 
 
@@ -96,6 +97,14 @@ def calibrated(data: Measurements) -> CalibratedModel:
     model = build(data.robot, ("geometry",), data.given)
     result = fit_reweighted(model, data, stated(data), model.nominal[None], "linear")[0]
     sizes = SmoothVariances.of(result, data, True)
-    unsure, left = beside_smooth_errors(sizes, sizes.variance, 0.0)
+    unsure, left = beside_smooth_errors(sizes, sizes.variance, PerUnit())
     errors = beyond_measured(left, sizes, sizes.variance)
     return replace(calibration(model, result.estimate, unsure.covariance, at_bound=result.at_bound), errors=errors)
+
+
+def variance(
+    errors: ErrorModel, model: Model, estimate: np.ndarray, covariance: np.ndarray, conditions: np.ndarray
+) -> np.ndarray:
+    """The variance (n_rows, 3) of positions by an error model."""
+    shared = errors.shared(errors.slopes(model, estimate, conditions), covariance)
+    return (shared**2).sum(axis=2) + errors.rest[METRE] ** 2

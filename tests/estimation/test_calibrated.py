@@ -58,7 +58,7 @@ def test_rows_that_state_no_noise_have_that_of_the_fit(source, expected):
         (SeriesNoise(4e-5, source, 7e-5),),
         PerUnit(),
         "linear",
-        ErrorModel.white(0.0, 0),
+        ErrorModel.white(PerUnit(), 0),
     )
     rows = Measurements.from_arrays(ur10(), np.zeros((2, 6)), np.ones((2, 3)), payload="load", sigma=[2e-5, 3e-5])
     assert known.noise(rows).sigma[0] == expected[0]

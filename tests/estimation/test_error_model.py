@@ -24,9 +24,10 @@ from calflow.estimation.needed_conditions import needed_conditions
 from calflow.estimation.noise import PerUnit
 from calflow.estimation.smooth_functions import InPlace, JointField, Shift, is_mean
 from calflow.files.problems import InputError
+from calflow.files.units import METRE
 from calflow.model import build
 from calflow.robot.parts import Expected
-from estimation.data import POSES, SIGMA, measured, stated, wavering
+from estimation.data import POSES, SIGMA, measured, stated, variance, wavering
 from robots import industrial
 
 
@@ -41,7 +42,7 @@ def fitted(data):
     model = build(data.robot, ("geometry",), data.given)
     result = fit_reweighted(model, data, stated(data), model.nominal[None], "linear")[0]
     sizes = SmoothVariances.of(result, data, True)
-    return (result, *beside_smooth_errors(sizes, sizes.variance, 0.0))
+    return (result, *beside_smooth_errors(sizes, sizes.variance, PerUnit()))
 
 
 def dense(result, errors, rows):
@@ -59,7 +60,7 @@ def test_parameters_are_as_sure_as_by_the_whole_covariance():
     before, result, errors = fitted(data)
     assert (result.estimate == before.estimate).all()
     jacobian, functions = dense(result, errors, data)
-    whole = (errors.rest**2 + SIGMA**2) * np.eye(len(jacobian)) + functions @ functions.T
+    whole = (errors.rest[METRE] ** 2 + SIGMA**2) * np.eye(len(jacobian)) + functions @ functions.T
     precision = np.diag(result.model.prior_sd**-2.0)
     covariance = np.linalg.inv(jacobian.T @ np.linalg.solve(whole, jacobian) + precision)
     left = (result.model.position(result.estimate, data.conditions) - data.position).ravel()
@@ -77,12 +78,12 @@ def test_a_promise_is_of_parameters_and_functions_given_the_data():
     (jacobian, functions), (slopes, moved) = (dense(result, errors, rows) for rows in (data, new))
     both, there = np.hstack([jacobian, functions]), np.hstack([slopes, moved])
     prior = np.diag(np.append(result.model.prior_sd**-2.0, np.ones(len(errors.sd))))
-    noise = errors.rest**2 + SIGMA**2
+    noise = errors.rest[METRE] ** 2 + SIGMA**2
     covariance = np.linalg.inv(both.T @ both / noise + prior)
     inside = new.table["time"].between(data.table["time"].min(), data.table["time"].max()).to_numpy()
     off = slopes @ errors.offset + moved @ errors.mean
-    expected = np.einsum("ni,ij,nj->n", there, covariance, there) + errors.rest**2 + off**2
-    given = errors.variance(result.model, result.estimate, result.covariance, new.conditions)
+    expected = np.einsum("ni,ij,nj->n", there, covariance, there) + errors.rest[METRE] ** 2 + off**2
+    given = variance(errors, result.model, result.estimate, result.covariance, new.conditions)
     assert given[inside] == pytest.approx(expected.reshape(-1, 3)[inside], rel=0.05)
 
 
@@ -97,9 +98,9 @@ def test_errors_lie_within_the_promise_where_nothing_was_measured():
         there = whole.only(~here)
         at = result.model, result.estimate, result.covariance
         off = result.model.point(result.estimate, there.conditions) - there.position
-        inside.append(np.abs(off) < 1.96 * np.sqrt(errors.variance(*at, there.conditions) + SIGMA**2))
+        inside.append(np.abs(off) < 1.96 * np.sqrt(variance(errors, *at, there.conditions) + SIGMA**2))
         unknown = replace(errors, mean=0 * errors.mean, offset=0 * errors.offset)
-        near, far = (unknown.variance(*at, rows.conditions).mean() for rows in (whole.only(here), there))
+        near, far = (variance(unknown, *at, rows.conditions).mean() for rows in (whole.only(here), there))
         ratio.append(far / near)
     assert np.mean(inside) > 0.85
     assert np.mean(ratio) > 3
@@ -202,7 +203,7 @@ def test_a_wander_that_is_named_goes_on_as_one_that_is_not(form):
     model = build(data.robot, ("geometry",), data.given)
     model = replace(model, effects=(*model.effects, form(data.robot)))
     named = fit_reweighted(model, data, stated(data), model.nominal[None], "linear")[0]
-    left = ErrorModel.white(0.0, len(named.estimate))
+    left = ErrorModel.white(PerUnit(), len(named.estimate))
     before = continued(left, named, data)
     assert promised(before, named, data, -1000.0) == pytest.approx(promised(left, named, data, -1000.0))
     assert promised(before, named, data, 86400.0) == pytest.approx(promised(unnamed, result, data, 86400.0), rel=0.3)
@@ -228,7 +229,7 @@ def after_a_step(data, moved, moment):
     step = Cause(data.robot, FrameStep(data.robot, moment=moment), "device")
     model = replace(model, effects=(*model.effects, step))
     found = fit_reweighted(model, data, stated(data), model.nominal[None], "linear")[0]
-    beside = continued(ErrorModel.white(0.0, len(found.estimate)), found, data)
+    beside = continued(ErrorModel.white(PerUnit(), len(found.estimate)), found, data)
     return float((promised(beside, found, data, 3600.0) / unnamed).mean())
 
 
@@ -263,7 +264,7 @@ def test_what_warming_brought_about_may_be_lost_when_the_robot_stands(held):
     data.table[["x", "y", "z"]] = model.position(warm, data.conditions)
     found = fit_reweighted(model, data, stated(data), model.nominal[None], "linear")[0]
     assert model.values(cause, found.estimate) == pytest.approx(1e-3, rel=0.02)
-    known = ErrorModel.white(0.0, len(found.estimate))
+    known = ErrorModel.white(PerUnit(), len(found.estimate))
     later = continued(known, found, data)
     rows = replace(data, table=data.table.assign(time=1e6)).conditions
     cold = replace(data, table=data.table.assign(time=0.0)).conditions
@@ -281,12 +282,12 @@ def test_rows_in_order_wander_anew_in_another_measurement():
     assert "order" in errors.inputs
     anew = continued(errors, result, data)
     nothing = np.zeros((len(result.estimate), len(result.estimate)))
-    here, there = (one.variance(result.model, result.estimate, nothing, data.conditions) for one in (errors, anew))
+    here, there = (variance(one, result.model, result.estimate, nothing, data.conditions) for one in (errors, anew))
     others = np.array([walking(seed)[0].position - wavering(seed, 0.0).position for seed in range(5, 25)])
     within = np.abs(others - others.mean(axis=1, keepdims=True)) < 1.96 * np.sqrt(there)
     assert within.mean() > 0.93
     assert there.mean() < 2 * here.mean()
-    moved = anew.shared(result.model, result.estimate, nothing, data.conditions)
+    moved = anew.shared(anew.slopes(result.model, result.estimate, data.conditions), nothing)
     apart = np.linalg.norm(moved[0] - moved[-1], axis=1)
     assert (apart > 0.5 * np.linalg.norm(moved[0], axis=1)).all()
 
@@ -301,7 +302,7 @@ def test_beyond_a_measured_travel_a_curve_is_another_of_its_kind():
     estimate, sure = model.nominal.copy(), 1e16 * np.eye(len(model.nominal))
     estimate[model.columns(cause)[:2]] = 3e-4
     result = Fit(LeastSquares.of(model, data, stated(data)), estimate, "linear", 0.0, np.zeros(0), 0 * estimate, sure)
-    errors = continued(ErrorModel.white(SIGMA, len(estimate)), result, data)
+    errors = continued(ErrorModel.white(PerUnit(((METRE, SIGMA),)), len(estimate)), result, data)
     inside = data.joints[:, 0] < high[0]
     beyond = data.joints[:, 0] > high[0] + 0.06 * (high[0] - low[0])
     moved = errors.moved(model, estimate, data.conditions)

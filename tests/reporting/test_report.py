@@ -16,7 +16,9 @@ from calflow.estimation import fit
 from calflow.estimation.calibrated_model import Alternative
 from calflow.estimation.certainty import Certainty
 from calflow.estimation.error_model import ErrorModel
+from calflow.estimation.noise import PerUnit
 from calflow.files.tables import Results, to_frame
+from calflow.files.units import METRE
 from calflow.files.words import mm
 from calflow.reporting import document
 from calflow.reporting.advice import advice
@@ -330,7 +332,7 @@ def test_certainty_is_told_with_the_models_own_error_and_with_what_is_left(small
     material = report_material(small.study, small.results, small.run_folder)
     left = small.tables["identify/residuals.csv"]
     known = material.calibrated
-    less_sure = replace(known, errors=ErrorModel.white(1e-4, len(known.estimate)))
+    less_sure = replace(known, errors=ErrorModel.white(PerUnit(((METRE, 1e-4),)), len(known.estimate)))
     off = Certainty.of(less_sure, material.data, left)
     assert off.prediction_sd_mm == pytest.approx(np.hypot(material.certainty.model_sd_mm, 0.1 * np.sqrt(3)))
     assert f"known to {off.prediction_sd_mm:.3f} mm (1 sd). That includes the model's own error." in certainty_words(

@@ -12,6 +12,7 @@ import scipy
 from calflow.estimation.calibrated_model import Alternative, CalibratedModel, SeriesNoise
 from calflow.estimation.error_model import ErrorModel
 from calflow.estimation.noise import PerUnit
+from calflow.files.units import METRE
 from calflow.sampling.posterior import predictive_table
 from diagnosis.found import cause, hidden, start
 from estimation.data import SIGMA
@@ -53,8 +54,8 @@ def test_rivals_of_several_causes_may_all_be_likely():
 def test_what_smooth_errors_leave_is_expected_of_poses_held_out():
     """Fails if held-out rows are promised the device's noise alone, or fitted ones what is to be expected elsewhere."""
     known, kept = calibrated()
-    known = replace(known, errors=ErrorModel.white(0.0, len(known.estimate)))
-    wide = replace(known, errors=ErrorModel.white(3 * SIGMA, len(known.estimate)))
+    known = replace(known, errors=ErrorModel.white(PerUnit(), len(known.estimate)))
+    wide = replace(known, errors=ErrorModel.white(PerUnit(((METRE, 3 * SIGMA),)), len(known.estimate)))
     apart = replace(kept, table=kept.table.assign(split="holdout"))
     assert interval(wide, kept) == interval(known, kept)
     assert interval(wide, apart) == pytest.approx(np.sqrt(10) * interval(known, apart), rel=0.1)

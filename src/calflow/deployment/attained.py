@@ -228,26 +228,27 @@ class Attained:
         """Return the points of the series that report in the unit in which their model is judged."""
         unit = unit_of(data)
         stated, noise = data.stating(calibrated.model.given), calibrated.noise(data)
-        error, every, taken = errors_in_unit(calibrated, stated, unit)
-        nominal, *_ = errors_in_unit(replace(calibrated, estimate=calibrated.model.nominal), stated, unit)
-        values = np.isfinite(error).sum(axis=1)
+        found = errors_in_unit(calibrated, stated, unit)
+        nominal = errors_in_unit(replace(calibrated, estimate=calibrated.model.nominal), stated, unit).error
+        there = np.isfinite(found.error)
+        values = there.sum(axis=1)
         rows = values > 0
         if not rows.any():
             raise refuse(
                 "expected more rows of each object than it takes to place it: none of these shows an error", key="data"
             )
-        off = {NOMINAL: np.nan_to_num(nominal[rows]), CALIBRATED: np.nan_to_num(error[rows])}
+        off = {NOMINAL: np.nan_to_num(nominal[rows]), CALIBRATED: np.nan_to_num(found.error[rows])}
         table, group, mean = _points(data.only(rows))
         count = table["rows"].to_numpy()
         device = noise.sigma[rows] if calibrated.noise_known else np.zeros(rows.sum())
         of_device = np.sqrt(np.bincount(group, weights=device**2)) / count
-        variance = mean(every[rows, None])[:, 0]
+        variance = mean((there * found.variance).sum(axis=1)[rows, None])[:, 0]
         expected = {name: mean(errors_of - off[CALIBRATED]) for name, errors_of in off.items()}
         return Attained(
             table, -mean(off[CALIBRATED]), expected, np.zeros((len(table), off[CALIBRATED].shape[1], 0)),
             np.sqrt(variance + mean(values[rows, None])[:, 0] * of_device**2), of_device,
             np.full(len(table), np.nan), None, unit, in_space=False,
-            taken=taken, values=float(values.sum() / data.table["pose"].nunique()),
+            taken=found.taken, values=float(values.sum() / data.table["pose"].nunique()),
         )  # fmt: skip
 
     @property

@@ -14,6 +14,7 @@ from calflow.design.search import exchange, greedy
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.files.deferred import pd
 from calflow.files.problems import refuse
+from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import POSITION
 from calflow.robot.mechanism import reading_columns, shown_readings
@@ -94,7 +95,7 @@ def _slopes(calibrated: CalibratedModel, data: Measurements) -> np.ndarray:
     """Return the Jacobian of rows by all movements in prior standard deviations, over the rows' errors (n, 3, k)."""
     noise = calibrated.noise(data).sigma if calibrated.noise_known else np.zeros(len(data))
     slopes = [movement.slope * movement.sd for movement in movements(calibrated, data, False)]
-    sigma = np.sqrt(noise**2 + calibrated.errors.rest**2)
+    sigma = np.sqrt(noise**2 + calibrated.errors.rest[METRE] ** 2)
     return np.concatenate(slopes, axis=2) / sigma[:, None, None]
 
 

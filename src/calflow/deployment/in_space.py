@@ -17,9 +17,10 @@ import scipy
 
 from calflow.deployment.attained import rigid_slope
 from calflow.design.candidates import candidates
-from calflow.estimation.calibrated_model import CalibratedModel, choice_errors
+from calflow.estimation.calibrated_model import CalibratedModel, choice_errors, points_at
 from calflow.estimation.prior_scale import by_scale, strays
 from calflow.files.tables import column
+from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 
@@ -126,9 +127,10 @@ def promised_in_space(calibrated: CalibratedModel, rng: np.random.Generator, nam
     between = model.point(model.nominal, conditions) - model.point(calibrated.estimate, conditions)
     away = _untaught(between[:, :, None], taught_nominal)
     errors, better = calibrated.errors, 0
-    variance = np.full(conditions.shape[1], 3 * errors.rest**2)
+    variance = np.full(conditions.shape[1], 3 * errors.rest[METRE] ** 2)
     slopes = errors.slopes(model, calibrated.estimate, conditions)
-    further = [slopes[:, :, len(calibrated.estimate) :] @ errors.spread, choice_errors(calibrated, conditions)]
+    choice = choice_errors(calibrated.alternatives, model, calibrated.estimate, points_at(conditions))
+    further = [slopes[:, :, len(calibrated.estimate) :] @ errors.spread, choice]
     mean = calibrated.estimate + errors.offset, errors.about_mean(calibrated.covariance)
     probable, *scales = by_scale(*mean, (model.prior_mean, model.prior_sd), strays(model))
     for share, at, covariance, n in zip(probable, *scales, rng.multinomial(ROBOT_DRAWS, probable), strict=True):

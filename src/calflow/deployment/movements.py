@@ -26,6 +26,7 @@ from calflow.estimation.calibrated_model import CalibratedModel, shared_errors
 from calflow.estimation.noise import conditions
 from calflow.files.deferred import pd
 from calflow.files.problems import refuse
+from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements
 from calflow.robot.parts import Parameter
 
@@ -227,7 +228,7 @@ class CheckProblem:
         points, seen = share @ model.point(calibrated.estimate, rows), share @ data.position
         together = np.einsum("nm,mai->nai", share, shared_errors(calibrated, rows)).reshape(3 * len(first), -1)
         noise = calibrated.noise(data).sigma if calibrated.noise_known else np.zeros(len(data))
-        variance = (share**2) @ noise**2 + calibrated.errors.rest**2
+        variance = (share**2) @ noise**2 + calibrated.errors.rest[METRE] ** 2
         variance += sum((need.spread_mm / 1e3) ** 2 for need in calibrated.needed if need.condition not in data.given)
         covariance = together @ together.T + np.diag(np.repeat(variance, 3))
         if fitted.any():

@@ -35,7 +35,7 @@ from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.verdict import named
 from calflow.effects.wording import UNEXPLAINED
 from calflow.estimation.accuracy import distances, errors
-from calflow.estimation.calibrated_model import Alternative, CalibratedModel, offsets
+from calflow.estimation.calibrated_model import Alternative, CalibratedModel, offsets, points_at
 from calflow.estimation.probing import probed
 from calflow.estimation.progress import Draws
 from calflow.faults import as_table
@@ -101,7 +101,7 @@ def uncertainties(
         )
     if planned.observation.units == (METRE,) * 3:
         both = (choices.conditions, at_task.conditions)
-        seen, tool = (offsets(alternatives, model, estimate, rows) for rows in both)
+        seen, tool = (offsets(alternatives, model, estimate, points_at(rows)) for rows in both)
         for k, alternative in enumerate(alternatives):
             size, own = np.sqrt(alternative.probability), slice(k, k + 1)
             uncertainties.append(

@@ -23,11 +23,12 @@ from calflow.diagnosis.trial import Linearisation
 from calflow.diagnosis.verdict import named
 from calflow.effects import Effect
 from calflow.effects.cause import Cause
-from calflow.estimation.calibrated_model import Alternative, offsets
+from calflow.estimation.calibrated_model import Alternative, offsets, points_at
 from calflow.estimation.error_model import VISIBLE, ErrorModel
 from calflow.estimation.probing import probed
 from calflow.estimation.smooth_functions import Wandering
 from calflow.estimation.variance_components import SIZES
+from calflow.files.units import METRE
 from calflow.measurements.series import Series
 from calflow.observations.position import Position
 
@@ -193,12 +194,12 @@ def task_error(
     independent[drawn < len(causes)] = 0.0
     independent, excess = np.where(variances.any(axis=1), 0.0, (independent, excess))
     error *= (_noise_levels(fitted, rng) * np.hypot(1.0, independent))[:, None, None]
-    alone = np.hypot(excess, independent * fitted.problem.scatter)
+    alone = np.hypot(excess, independent * fitted.problem.scatter())
     lacking += alone[:, None, None] * rng.standard_normal(lacking.shape)
     for others in rivals:
         of_choice = [alternative.probability for alternative in others]
         chosen = rng.choice(len(others) + 1, TASK_DRAWS, p=[*of_choice, 1 - sum(of_choice)])
-        moved = offsets(others, fitted.model, fitted.fit.estimate, at_task.conditions)
+        moved = offsets(others, fitted.model, fitted.fit.estimate, points_at(at_task.conditions))
         for k in range(len(others)):
             lacking[chosen == k] += moved[:, :, k]
     there = np.unique(drawn[drawn < len(causes)])
@@ -225,7 +226,7 @@ def _drawn(
     drawn = rng.standard_normal((number, n + len(errors.sd)))
     error = np.einsum("nap,kp->kna", both[:, :, 1:], drawn[:, :n], optimize=True)
     smooth = both[:, :, 0] + np.einsum("nas,ks->kna", moved @ errors.spread, drawn[:, n:], optimize=True)
-    return error, smooth + errors.rest * rng.standard_normal(smooth.shape)
+    return error, smooth + errors.rest[METRE] * rng.standard_normal(smooth.shape)
 
 
 def _noise_levels(fitted: Fitted, rng: np.random.Generator) -> np.ndarray:

@@ -17,7 +17,7 @@ from calflow.estimation.extrapolation import beyond_measured
 from calflow.estimation.fit import Fit, IntraclassLikelihood, fit, fit_reweighted
 from calflow.estimation.lack_of_fit import LackOfFit
 from calflow.estimation.least_squares import LeastSquares, Loss
-from calflow.estimation.leverage import LeftOut, left_out
+from calflow.estimation.leverage import LeftOut, excess, left_out
 from calflow.estimation.noise import NO_DISCREPANCY, Noise, PerUnit
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
@@ -88,10 +88,12 @@ class Fitted:
         """The variances of smooth errors beside the model."""
         return SmoothVariances.of(replace(self.fit, problem=self._problem), self.data, self.noise.known)
 
-    def with_smooth_errors(self, variance: np.ndarray, elsewhere: float = 0.0) -> tuple[np.ndarray, ErrorModel]:
+    def with_smooth_errors(
+        self, variance: np.ndarray, elsewhere: PerUnit = NO_DISCREPANCY
+    ) -> tuple[np.ndarray, ErrorModel]:
         """Return the estimate's covariance and the error model with smooth errors of given variances (n_parts,).
 
-        elsewhere: excess of leave-one-pose-out errors [m], see `beside_smooth_errors`.
+        elsewhere: excess of leave-one-pose-out errors, see `beside_smooth_errors`.
         """
         unsure, errors = beside_smooth_errors(self.smooth, variance, elsewhere)
         covariance = replace(self.fit, information=unsure.information).covariance
@@ -99,11 +101,11 @@ class Fitted:
 
     @cached_property
     def _beside(self) -> tuple[np.ndarray, ErrorModel]:
-        return self.with_smooth_errors(self.smooth.variance, float(self.left_out.excess()))
+        return self.with_smooth_errors(self.smooth.variance, excess(self.fit, self.poses))
 
     @property
     def errors(self) -> ErrorModel:
-        """The error model of positions, beyond the device's noise."""
+        """The error model, beyond the device's noise."""
         return self._beside[1]
 
     @property

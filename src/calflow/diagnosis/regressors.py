@@ -290,7 +290,7 @@ class Regressors(Generic[H]):
         free = np.flatnonzero(~fit.at_bound)
         offset = fit.estimate - model.prior_mean
         precision = model.prior_sd**-2.0
-        scale = max(1.0, problem.scatter / USUAL)
+        scale = max(1.0, problem.scatter() / USUAL)
         rows = np.arange(problem.n_rows) if poses is None else poses
         residuals_a_pose = np.bincount(rows[problem.row])
         matrix = TallMatrix.remade(tall.compiled(PASSES)) if tall else TallMatrix.held(slopes[:, n:])

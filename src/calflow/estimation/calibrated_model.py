@@ -1,4 +1,4 @@
-"""The calibrated model: estimate, covariance, noise and error model, and the predictive variance of its positions.
+"""The calibrated model: estimate, covariance, noise and error model, and the predictive variance of what it predicts.
 
 It also holds alternatives of similar probability (Occam's window: models far less probable than the best are left out, so that
 the few others can be evaluated in full; Madigan and Raftery 1994). Predictive variances exclude the measuring device's noise.
@@ -6,7 +6,7 @@ the few others can be evaluated in full; Madigan and Raftery 1994). Predictive v
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Self
@@ -25,6 +25,7 @@ from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 
 MANY = 20  # parameters of one cause, beyond which sampling them would take days without further insight
+ROWS = 1000  # rows at which smooth errors are evaluated at once
 PART_ROWS = 100_000  # rows whose Jacobian is evaluated at once: enough for compiled code to pay
 RANK = 1e-9  # relative size below which a singular value, or what a fit leaves of a value, is rounding
 UNMEASURED = 0.5  # posterior over prior variance of a direction, above which it was hardly measured
@@ -44,26 +45,31 @@ class Alternative:
     rival: Cause | None = None
 
 
-def offsets(
-    alternatives: Sequence[Alternative], model: Model, estimate: np.ndarray, conditions: np.ndarray
+Quantity = Callable[[Model, np.ndarray], np.ndarray]  # (model, estimate) -> values of rows (n_rows, n)
+
+
+def offsets(alternatives: Sequence[Alternative], model: Model, estimate: np.ndarray, quantity: Quantity) -> np.ndarray:
+    """Return the offsets of a quantity by alternatives from that by the model which they replace, (n_rows, n, n_alternatives)."""
+    here = quantity(model, estimate)
+    every = [quantity(replace(other.model, given=model.given), other.estimate) for other in alternatives]
+    return np.stack(every, axis=2) - here[:, :, None] if every else np.zeros((*here.shape, 0))
+
+
+def choice_errors(
+    alternatives: Sequence[Alternative], model: Model, estimate: np.ndarray, quantity: Quantity
 ) -> np.ndarray:
-    """Return the offsets of alternatives' points from those of the model that they replace, (n_rows, 3, n_alternatives) [m]."""
-    moved = np.zeros((conditions.shape[1], 3, len(alternatives)))
-    here = model.point(estimate, conditions) if alternatives else 0.0
-    for k, other in enumerate(alternatives):
-        moved[:, :, k] = replace(other.model, given=model.given).point(other.estimate, conditions) - here
-    return moved
+    """Return a square root of a quantity's variance by the choice of the model (Bayesian model averaging, Hoeting et al. 1999).
 
-
-def choice_errors(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
-    """Return a square root of the positions' variance by the choice of the model (Bayesian model averaging, Hoeting et al. 1999).
-
-    Shape (n_rows, 3, n_alternatives) [m], the factors of independent standard normals: the squares add up to the mean square
+    Shape (n_rows, n, n_alternatives), the factors of independent standard normals: the squares add up to the mean square
     distance of the alternatives' predictions from this model's, weighted by their probabilities.
     """
-    alternatives = calibrated.alternatives
-    moved = offsets(alternatives, calibrated.model, calibrated.estimate, conditions)
+    moved = offsets(alternatives, model, estimate, quantity)
     return moved * np.sqrt([other.probability for other in alternatives])
+
+
+def points_at(conditions: np.ndarray) -> Quantity:
+    """Return the positions (n_rows, 3) [m] of packed conditions, as a quantity."""
+    return lambda model, estimate: model.point(estimate, conditions)
 
 
 @dataclass(frozen=True)
@@ -83,7 +89,7 @@ class SeriesNoise:
 class CalibratedModel:
     """The fitted model with its estimate and covariance (SI units), each series' noise, and the discrepancy by unit.
 
-    errors: error model of positions beyond the device's noise; alternatives: other models of similar probability; field: a
+    errors: error model beyond the device's noise; alternatives: other models of similar probability; field: a
     non-physical correction of predictions; intraclass: correlation of the errors of markers at one standstill; needed: the
     conditions of a row that predictions need; time_origin [s]: clock reading from which times count; payloads: those carried
     in the measurements.
@@ -187,14 +193,12 @@ def position_variance(calibrated: CalibratedModel, conditions: np.ndarray) -> np
     It is the sum of the variances by the parameters, by the choice of the model and by the model's smooth errors given the data at
     that place and time (with a residual field, by the field instead). Noise estimated from the fit itself is included.
     """
-    of_choice = (choice_errors(calibrated, conditions) ** 2).sum(axis=2)
     if calibrated.field:
-        return np.asarray(
-            parameter_variance(calibrated, conditions) + of_choice + left_variance(calibrated, conditions)
-        )
-    return of_choice + calibrated.errors.variance(
-        calibrated.model, calibrated.estimate, calibrated.covariance, conditions
-    )
+        choice = choice_errors(calibrated.alternatives, calibrated.model, calibrated.estimate, points_at(conditions))
+        others = parameter_variance(calibrated, conditions) + left_variance(calibrated, conditions)
+        return np.asarray((choice**2).sum(axis=2) + others)
+    squares = [(shared_errors(calibrated, part) ** 2).sum(axis=2) for part in _some(conditions)]
+    return np.concatenate(squares) + calibrated.errors.rest[METRE] ** 2
 
 
 def shared_errors(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
@@ -203,8 +207,15 @@ def shared_errors(calibrated: CalibratedModel, conditions: np.ndarray) -> np.nda
     They hold the errors of the parameters, the smooth errors and the choice of the model, without a residual field; the squares
     add up to `position_variance` less the part that is independent from row to row.
     """
-    errors = calibrated.errors.shared(calibrated.model, calibrated.estimate, calibrated.covariance, conditions)
-    return np.concatenate([errors, choice_errors(calibrated, conditions)], axis=2)
+    model, estimate, errors_of = calibrated.model, calibrated.estimate, calibrated.errors
+    smooth = errors_of.shared(errors_of.slopes(model, estimate, conditions), calibrated.covariance)
+    choice = choice_errors(calibrated.alternatives, model, estimate, points_at(conditions))
+    return np.concatenate([smooth, choice], axis=2)
+
+
+def _some(conditions: np.ndarray) -> list[np.ndarray]:
+    """Return packed conditions in parts, so that memory does not grow with the rows."""
+    return np.array_split(conditions, range(ROWS, conditions.shape[1], ROWS), axis=1)
 
 
 def parameter_variance(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
@@ -226,8 +237,17 @@ def left_variance(calibrated: CalibratedModel, conditions: np.ndarray) -> np.nda
     """
     if calibrated.field:
         return np.asarray(calibrated.field.variance(readings(calibrated, conditions))[:, None])
-    whole = calibrated.errors.variance(calibrated.model, calibrated.estimate, calibrated.covariance, conditions)
-    return np.maximum(whole - parameter_variance(calibrated, conditions), calibrated.errors.rest**2)
+    model, estimate = calibrated.model, calibrated.estimate
+    every = (calibrated.errors.slopes(model, estimate, part) for part in _some(conditions))
+    smooth = [np.maximum(np.subtract(*_with_and_without(calibrated, slopes)), 0.0) for slopes in every]
+    return np.concatenate(smooth) + calibrated.errors.rest[METRE] ** 2
+
+
+def _with_and_without(calibrated: CalibratedModel, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return variances (n_rows, n_axes) with and without smooth errors, of what has derivatives as for `ErrorModel.shared`."""
+    covariance = calibrated.covariance
+    whole = (calibrated.errors.shared(slopes, covariance) ** 2).sum(axis=2)
+    return whole, of_parameters(slopes[:, :, : len(covariance)], covariance)
 
 
 def expected_point(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
@@ -272,45 +292,69 @@ def untold_turns(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndar
     return np.asarray(np.divide(parts[:, left > UNMEASURED].sum(axis=1), total, out=np.zeros(3), where=total > 0))
 
 
+@dataclass(frozen=True, eq=False)
+class ErrorsInUnit:
+    """Errors of what devices report in a unit, and their variances without a known noise, all (n_rows, 3 or more).
+
+    error [unit]: predicted minus measured, nan where there is none; variance [unit²]: predictive, by parameters, choice of the
+    model and its smooth errors given the data at that place and time, as for positions; left [unit²]: beyond parameters and choice
+    (see `left_variance`); taken: degrees of freedom of the objects that the model lacked, which the rows placed.
+    """
+
+    error: np.ndarray
+    variance: np.ndarray
+    left: np.ndarray
+    taken: int
+
+
 def promised_variance(calibrated: CalibratedModel, data: Measurements, unit: MeasurementUnit) -> np.ndarray:
     """Return the predictive variance of each row's errors along each axis, including the device's noise.
 
     Shape (n_rows, n_axes) [unit²]; 0 where a row has no value in the unit. data must have the conditions that the model needs.
     """
     device = calibrated.noise(data).sigma[:, None] ** 2 if calibrated.noise_known else 0.0
-    if unit == METRE and data.has_positions:
+    if calibrated.field:
         return np.asarray(position_variance(calibrated, data.conditions) + device)
-    error, variance, _ = errors_in_unit(calibrated, data, unit)
-    there = np.isfinite(error)
-    return there * ((variance / np.maximum(there.sum(axis=1), 1))[:, None] + device)
+    found = errors_in_unit(calibrated, data, unit)
+    return np.where(np.isfinite(found.error), found.variance + device, 0.0)
 
 
-def errors_in_unit(
-    calibrated: CalibratedModel, data: Measurements, unit: MeasurementUnit
-) -> tuple[np.ndarray, np.ndarray, int]:
-    """Return predicted minus measured values of rows in a unit, their predictive variance, and degrees of freedom taken.
-
-    The errors (n_rows, 3 or more) [unit] are nan where there are none; the variance (n_rows,) [unit²] is summed over a row's
-    values, without a known noise; the degrees of freedom are those of the objects that the model lacked, which the rows placed.
+def errors_in_unit(calibrated: CalibratedModel, data: Measurements, unit: MeasurementUnit) -> ErrorsInUnit:
+    """Return the errors of rows in a unit.
 
     An object that the model lacks (a socket, a surface) is placed by its own rows. Their errors are what that fit leaves, divided
     by the root of one minus the leverage (MacKinnon and White 1985, HC2); nan for a value that its object's place follows alone.
     """
     model, estimate = completed(calibrated.model, calibrated.estimate, data)
-    error, slope = errors(model, estimate, data, unit), error_jacobian(model, estimate, data, unit)
+    error, smooth = errors(model, estimate, data, unit), calibrated.errors
     names = [parameter.name for parameter in model.parameters]
     known = [names.index(parameter.name) for parameter in calibrated.model.parameters]
     new = np.setdiff1d(np.arange(len(names)), known)
-    values = slope.reshape(error.size, len(names))
-    basis, size, _ = np.linalg.svd(values[:, new] * model.prior_sd[new], full_matrices=False)
-    basis = basis[:, size > RANK * size.max(initial=0.0)]
-    share = 1.0 - (basis**2).sum(axis=1).reshape(error.shape)
+    basis = np.zeros((*error.shape, 0))
+    if len(new):
+        placing = error_jacobian(model, estimate, data, unit)[:, :, new] * model.prior_sd[new]
+        left, size, _ = np.linalg.svd(placing.reshape(error.size, -1), full_matrices=False)
+        basis = left[:, size > RANK * size.max(initial=0.0)].reshape(*error.shape, -1)
+    share = 1.0 - (basis**2).sum(axis=2)
     root = np.sqrt(np.where(share > RANK, share, np.nan))
-    slope = (values[:, known] - basis @ (basis.T @ values[:, known])).reshape(*error.shape, -1) / root[:, :, None]
-    slope, error = np.nan_to_num(slope), error / root
-    of_parameters = np.einsum("nai,ij,naj->n", slope, calibrated.covariance, slope)
-    left = calibrated.discrepancy[unit] if calibrated.noise_known else calibrated.noise(data).sigma
-    return error, of_parameters + np.isfinite(error).sum(axis=1) * left**2, basis.shape[1]
+    columns = [*known, *range(len(names), len(names) + len(smooth.sd))]
+    parts = [np.arange(len(data)) // ROWS == k for k in range(max(1, -(-len(data) // ROWS)))]
+
+    def slopes(rows: np.ndarray) -> np.ndarray:
+        return smooth.slopes_of_values(model, estimate, data.only(rows), unit)[:, :, columns]
+
+    # What moves an object's rows alike moves the object with them.
+    along = np.zeros((basis.shape[2], len(columns)))
+    for rows in parts if basis.shape[2] else ():
+        along += np.einsum("nak,nam->km", basis[rows], slopes(rows))
+    every = (np.nan_to_num((slopes(rows) - basis[rows] @ along) / root[rows, :, None]) for rows in parts)
+    whole, alone = (
+        np.concatenate(of) for of in zip(*(_with_and_without(calibrated, own) for own in every), strict=True)
+    )
+    choice = choice_errors(calibrated.alternatives, model, estimate, lambda m, p: errors(m, p, data, unit))
+    rest = smooth.rest[unit] ** 2
+    of_choice = np.nan_to_num((choice / root[:, :, None]) ** 2).sum(axis=2)
+    return ErrorsInUnit(error / root, whole + of_choice + rest, np.maximum(whole - alone, 0.0) + rest, basis.shape[2])
 
 
 def promised_distance(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:

@@ -147,18 +147,20 @@ def tested_rows(calibrated: CalibratedModel, data: Measurements, error: np.ndarr
     rows[rows] = representative(data.only(rows))
     held = data.only(rows)
     limit = promised_limits(calibrated, held) if rows.any() else np.zeros(0)
-    return pd.DataFrame({"pose": held.table["pose"].to_numpy(), "error": error[rows], "limit": limit})
+    every = pd.DataFrame({"pose": held.table["pose"].to_numpy(), "error": error[rows], "limit": limit})
+    return every.dropna()
 
 
 def promised_limits(calibrated: CalibratedModel, data: Measurements) -> np.ndarray:
     """Return the limit below which 95 % of a row's errors should lie, (n_rows,) in the unit by which the model is judged.
 
+    It is nan for a row that alone places its object, and so shows no error.
     The sum of squared normal errors along axes is approximated by a gamma variable of equal mean and variance (Satterthwaite 1946).
     """
     unit = calibrated.unit
     variance = promised_variance(calibrated, data, unit)
     total = variance.sum(axis=1)
-    freedom = total**2 / (variance**2).sum(axis=1)
+    freedom = total**2 / np.where(total > 0, (variance**2).sum(axis=1), np.nan)
     return np.asarray(unit.shown(np.sqrt(total * scipy.special.chdtri(freedom, 1 - PROMISED) / freedom)))
 
 

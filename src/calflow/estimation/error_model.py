@@ -1,11 +1,12 @@
-"""The error model: errors of a calibrated model's positions beyond the device's noise.
+"""The error model: errors of a calibrated model beyond the device's noise.
 
 Residuals are white noise plus random smooth functions of joints, place, payload and time, with variances by the data (see
 `variance_components`). The parameters' covariance is that of generalised least squares with them (Aitken 1936), so that a smooth
 misfit does not count as many independent errors, nor its extrapolation as certain.
 
 A prediction's error is that of the parameters and of the functions, both given the data: small between measured poses, with the
-functions' prior variance far from them (at a joint past its travel, or at a later hour, see `extrapolation`).
+functions' prior variance far from them (at a joint past its travel, or at a later hour, see `extrapolation`). It is the same for
+whatever is predicted, a position, an orientation or what a device reports, by its derivatives.
 """
 
 from __future__ import annotations
@@ -19,20 +20,21 @@ import numpy as np
 import scipy
 
 from calflow.effects.base import Effect
+from calflow.estimation.accuracy import error_jacobian
 from calflow.estimation.fit import Fit
 from calflow.estimation.least_squares import LeastSquares
-from calflow.estimation.noise import representative
+from calflow.estimation.noise import PerUnit, representative
 from calflow.estimation.probing import Probe
 from calflow.estimation.smooth_functions import Part, SmoothFunction, is_mean, means, smooth_functions
 from calflow.estimation.variance_components import NormalEquations, VarianceComponents
 from calflow.files.deferred import pd
 from calflow.files.problems import refuse
 from calflow.files.tables import column, typed
+from calflow.files.units import MeasurementUnit
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 
 MIN_REDUCTION = 1e-2  # least relative reduction of a direction's variance by the data for it to be kept
-ROWS = 1000  # rows at which the functions are evaluated at once
 VISIBLE = 0.05  # least variance of a part over the white noise's: no noise is stated more accurately
 INSIDE = 1e-9  # share of the distance to a bound that a step leaves
 
@@ -44,8 +46,8 @@ class ErrorModel:
     sd (n_functions,) [m, rad or 1]: prior standard deviations of the amplitudes. For amplitudes over sd, given the parameters:
     mean (n_functions,): posterior means at the generalised estimate; slope (n_functions, n_parameters): minus their derivatives by
     the parameters; told (n_functions, n_directions): root of the reduction of their covariance, which is I - told toldᵀ. offset
-    (n_parameters,): generalised less ordinary least-squares estimate; rest [m]: standard deviation of the white part of position
-    errors per axis, without the device's noise where that is known.
+    (n_parameters,): generalised less ordinary least-squares estimate; rest: standard deviation of the white part of errors per
+    axis, without the device's noise where that is known.
     """
 
     functions: tuple[SmoothFunction, ...]
@@ -54,17 +56,17 @@ class ErrorModel:
     slope: np.ndarray
     told: np.ndarray
     offset: np.ndarray
-    rest: float
+    rest: PerUnit
 
     @staticmethod
-    def white(rest: float, n_parameters: int) -> ErrorModel:
+    def white(rest: PerUnit, n_parameters: int) -> ErrorModel:
         """Return an error model without smooth functions."""
         none = np.zeros(0)
         return ErrorModel((), none, none, np.zeros((0, n_parameters)), np.zeros((0, 0)), np.zeros(n_parameters), rest)
 
     def only(self, keep: Callable[[SmoothFunction], bool]) -> ErrorModel:
         """Return a copy with some functions alone."""
-        kept = np.array([keep(function) for function in self.functions for _ in function.declared], dtype=bool)
+        kept = self._of(keep)
         return replace(
             self,
             functions=tuple(filter(keep, self.functions)),
@@ -99,29 +101,22 @@ class ErrorModel:
         """The inputs of the functions."""
         return tuple(dict.fromkeys(name for function in self.functions for name in function.inputs))
 
-    def variance(
-        self, model: Model, estimate: np.ndarray, covariance: np.ndarray, conditions: np.ndarray
-    ) -> np.ndarray:
-        """Return the variance of rows' positions per axis, including the parameters', shape (n_rows, 3) [m²].
+    def _of(self, keep: Callable[[SmoothFunction], bool]) -> np.ndarray:
+        """Return the mask (n_functions,) of some functions' amplitudes."""
+        return np.array([keep(function) for function in self.functions for _ in function.declared], dtype=bool)
 
-        It is the mean square error of the model without these functions, so that their posterior mean counts in full.
+    def shared(self, slopes: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+        """Return errors with these derivatives as factors (n_rows, n_axes, n) of independent standard normals.
+
+        Their squares add up to the mean square error of the model without these functions, so that their posterior mean counts in
+        full, but for the part that is independent from row to row.
+
+        Args:
+            slopes: by parameters and by amplitudes over sd, (n_rows, n_axes, n_parameters + n_functions).
+            covariance: of the parameters, with their offset.
         """
-        parts = np.array_split(conditions, range(ROWS, conditions.shape[1], ROWS), axis=1)  # not too many rows at once
-        variances, root = [], self.root(self.about_mean(covariance))
-        for part in parts:
-            slopes = self.slopes(model, estimate, part)
-            moved = slopes[:, :, len(estimate) :]
-            alone = np.maximum((moved**2).sum(axis=2) - ((moved @ self.told) ** 2).sum(axis=2), 0.0)
-            variances.append(self.rest**2 + ((slopes @ root) ** 2).sum(axis=2) + alone)
-        return np.concatenate(variances)
-
-    def shared(self, model: Model, estimate: np.ndarray, covariance: np.ndarray, conditions: np.ndarray) -> np.ndarray:
-        """Return the errors of rows' positions as factors (n_rows, 3, n) [m] of independent standard normals.
-
-        Their squares add up to the variance less the part that is independent from row to row.
-        """
-        slopes, root = self.slopes(model, estimate, conditions), self.root(self.about_mean(covariance))
-        return np.concatenate([slopes @ root, slopes[:, :, len(estimate) :] @ self.spread], axis=2)
+        alone = slopes[:, :, slopes.shape[2] - len(self.sd) :] @ self.spread
+        return np.concatenate([slopes @ self.root(self.about_mean(covariance)), alone], axis=2)
 
     def slopes(self, model: Model, estimate: np.ndarray, conditions: np.ndarray) -> np.ndarray:
         """Return the derivatives of rows' positions by parameters and by amplitudes over sd, (n_rows, 3, n) [m]."""
@@ -129,12 +124,27 @@ class ErrorModel:
             [model.point_jacobian(estimate, conditions), self.moved(model, estimate, conditions)], axis=2
         )
 
-    def moved(self, model: Model, estimate: np.ndarray, conditions: np.ndarray) -> np.ndarray:
-        """Return the change of rows' reported positions by each amplitude at one sd, (n_rows, 3, n_functions) [m]."""
-        if not self.functions:
-            return np.zeros((conditions.shape[1], 3, 0))
+    def slopes_of_values(
+        self, model: Model, estimate: np.ndarray, data: Measurements, unit: MeasurementUnit
+    ) -> np.ndarray:
+        """Return those of the values that devices report in a unit (see `errors`), (n_rows, 3 or more, n) [unit]."""
         beside, n = _with(model, self.functions), len(estimate)
-        return beside.position_jacobian(np.append(estimate, beside.nominal[n:]), conditions)[:, :, n:] * self.sd
+        slopes = error_jacobian(beside, np.append(estimate, beside.nominal[n:]), data, unit)
+        slopes[:, :, n:] *= self.sd
+        return slopes
+
+    def moved(self, model: Model, estimate: np.ndarray, conditions: np.ndarray) -> np.ndarray:
+        """Return the change of rows' reported positions by each amplitude at one sd, (n_rows, 3, n_functions) [m].
+
+        Errors of a lens or target are none of the position.
+        """
+        moved = np.zeros((conditions.shape[1], 3, len(self.sd)))
+        in_space = tuple(function for function in self.functions if not function.of_images)
+        if in_space:
+            beside, n = _with(model, in_space), len(estimate)
+            at = np.append(estimate, beside.nominal[n:])
+            moved[:, :, self._of(in_space.__contains__)] = beside.position_jacobian(at, conditions)[:, :, n:]
+        return moved * self.sd
 
     def about_mean(self, covariance: np.ndarray) -> np.ndarray:
         """Return the covariance of the parameters about the generalised estimate, given that which includes their offset."""
@@ -172,11 +182,11 @@ class SmoothAmplitude:
 
     function: int = column(
         "number of its function; 0: the row holds the offset of the generalised estimate in place of slopes, and the standard "
-        "deviation of the white part of position errors in place of sd"
+        "deviation of the white part of errors in a unit in place of sd"
     )
-    kind: str = column("kind of the function")
+    kind: str = column("kind of the function; where its number is 0, that unit: mm, mrad, px, …")
     figures: str = column("the function's figures as JSON, in the row of its first amplitude")
-    sd: float = column("prior standard deviation [m, rad or 1]")
+    sd: float = column("prior standard deviation [m, rad or 1]; where the function's number is 0, in the SI unit")
     mean: float = column("posterior mean, over sd")
     slope: Mapping[str, float] = column(
         "minus the derivative of the mean by a parameter [over its SI unit]", name="slope {parameter}"
@@ -193,16 +203,22 @@ def error_table(errors: ErrorModel, model: Model) -> pd.DataFrame:
     slopes = [f"slope {parameter.name}" for parameter in model.parameters]
     amplitudes = [(k, function, n == 0) for k, function in enumerate(errors.functions, start=1)
                   for n in range(len(function.declared))]  # fmt: skip
-    first = np.concatenate([[errors.rest, 0.0], errors.offset, np.zeros(len(told))])
+    first = [np.concatenate([[size, 0.0], errors.offset, np.zeros(len(told))]) for _, size in errors.rest.sizes]
     others = np.column_stack([errors.sd, errors.mean, errors.slope, errors.told])
     named = pd.DataFrame(
         {
-            "function": [0, *(number for number, *_ in amplitudes)],
-            "kind": ["", *(type(function).__name__ for _, function, _ in amplitudes)],
-            "figures": ["", *(function.figures_text if first else "" for _, function, first in amplitudes)],
+            "function": [*(0 for _ in first), *(number for number, *_ in amplitudes)],
+            "kind": [
+                *(unit.label for unit, _ in errors.rest.sizes),
+                *(type(function).__name__ for _, function, _ in amplitudes),
+            ],
+            "figures": [
+                *("" for _ in first),
+                *(function.figures_text if is_first else "" for _, function, is_first in amplitudes),
+            ],
         }
     )
-    numbers = pd.DataFrame(np.vstack([first, others]), columns=["sd", "mean", *slopes, *told])
+    numbers = pd.DataFrame(np.vstack([*first, others]), columns=["sd", "mean", *slopes, *told])
     return typed(pd.concat([named, numbers], axis=1), SmoothAmplitude)
 
 
@@ -212,7 +228,7 @@ def read_errors(table: pd.DataFrame, model: Model, kinds: Mapping[str, type[Smoo
     Raises:
         InputError: another version of calflow made the table, with functions of other kinds.
     """
-    offset, table = table.iloc[0], table.iloc[1:]
+    beside, table = table[table["function"] == 0], table[table["function"] > 0]
     if unknown := set(table["kind"]) - set(kinds):
         raise refuse(
             f"has smooth errors of another version of calflow ({', '.join(sorted(unknown))}); run the study again"
@@ -224,9 +240,10 @@ def read_errors(table: pd.DataFrame, model: Model, kinds: Mapping[str, type[Smoo
     columns = [[name for name in map(str, table) if name.startswith(word)] for word in ("slope ", "told ")]
     every = (table[name].to_numpy(dtype=float) for name in ("sd", "mean", *columns))
     sd, mean, slope, told = map(np.ascontiguousarray, every)  # the layout decides the last bit of sums
-    return ErrorModel(
-        tuple(functions), sd, mean, slope, told, offset[columns[0]].to_numpy(dtype=float), float(offset["sd"])
-    )
+    units = {unit.label: unit for observation in model.observations for unit in observation.units}
+    rest = PerUnit(tuple((units[label], float(size)) for label, size in beside[["kind", "sd"]].to_numpy()))
+    offset = beside[columns[0]].iloc[0].to_numpy(dtype=float)
+    return ErrorModel(tuple(functions), sd, mean, slope, told, offset, rest)
 
 
 @lru_cache(maxsize=8)
@@ -235,28 +252,30 @@ def _with(model: Model, functions: tuple[SmoothFunction, ...]) -> Model:
     return replace(model, probes=functions)
 
 
-def beside_smooth_errors(sizes: SmoothVariances, variance: np.ndarray, elsewhere: float) -> tuple[Fit, ErrorModel]:
-    """Return a fit with the information that remains beside the smooth errors, and the error model of positions.
+def beside_smooth_errors(sizes: SmoothVariances, variance: np.ndarray, elsewhere: PerUnit) -> tuple[Fit, ErrorModel]:
+    """Return a fit with the information that remains beside the smooth errors, and the error model.
 
     The estimate stays that of ordinary least squares: without the functions' means, which are not the robot's alone, it predicts
-    poses like those fitted better than that of generalised least squares, and the distance of the two counts as an error. Errors of
-    a lens or target increase the parameters' variances and shift the generalised estimate, but are no errors of the position.
+    poses like those fitted better than that of generalised least squares, and the distance of the two counts as an error.
 
     Args:
         sizes: what smooth errors there may be beside the model.
         variance: of each of their parts, (n_parts,).
-        elsewhere: excess of leave-one-pose-out errors over noise and parameters, per axis [m]; used where nothing smooth shows.
+        elsewhere: excess of leave-one-pose-out errors over noise and parameters, per axis; used where nothing smooth shows.
     """
     result, problem = sizes.result, sizes.result.problem
     model, estimate = result.model, result.estimate
     active = sizes.active(variance)
     functions = tuple(dict.fromkeys(sizes.of_amplitude[number][1] for number in active))
-    device = problem.device if sizes.known else 0.0
     # Without functions the noise's level is the fit's own, which includes the discrepancy.
     level = sizes.components.level(variance) if functions else 1.0
-    rest = float(np.sqrt(max(level * problem.scatter**2 - device**2, 0.0)))
+    left = {
+        unit: level * problem.scatter(unit) ** 2 - sizes.known * problem.device(unit) ** 2 for unit in problem.units
+    }
+    excess = {unit: 0.0 if functions else elsewhere[unit] for unit in left}
+    rest = PerUnit(tuple((unit, float(np.hypot(max(of, 0.0) ** 0.5, excess[unit]))) for unit, of in left.items()))
     if not functions:
-        return result, ErrorModel.white(float(np.hypot(rest, elsewhere)), len(estimate))
+        return result, ErrorModel.white(rest, len(estimate))
     n, here = len(estimate), len(active)
     equations = sizes.equations.only(np.append(np.arange(n), n + active))
     if equations.number < problem.size:
@@ -281,7 +300,7 @@ def beside_smooth_errors(sizes: SmoothVariances, variance: np.ndarray, elsewhere
     # Inverse of the covariance plus the square of the offset (Sherman and Morrison 1950).
     along = information @ offset
     unsure = replace(result, information=information - np.outer(along, along) / (1 + along @ offset))
-    return unsure, errors.only(lambda function: not function.of_images)
+    return unsure, errors
 
 
 def usual_sizes(model: Model, functions: Sequence[SmoothFunction]) -> np.ndarray:

@@ -20,7 +20,7 @@ from calflow.estimation.fit import START_ROWS, Fit, draw_starts, fit, fit_sharin
 from calflow.estimation.identifiability import Identifiability, identifiability
 from calflow.estimation.lack_of_fit import LackOfFit, NoiseDoubt, doubts_of_repeats, doubts_of_residuals
 from calflow.estimation.least_squares import LeastSquares, Loss
-from calflow.estimation.leverage import LeftOut, left_out
+from calflow.estimation.leverage import LeftOut, excess, left_out
 from calflow.estimation.model_tables import IdentifySummary, fit_figures
 from calflow.estimation.needed_conditions import needed_conditions
 from calflow.estimation.noise import Noise, NoiseSource, averaged, conditions, measured_noise, representative
@@ -41,7 +41,7 @@ class FittedEffects:
 
     data: all rows, with the registered robot to which the errors refer; noise: that of single rows, with the model's discrepancy;
     steps: accuracy of the nominal and of each extended model; lack: lack of fit; starts, agreeing: number of starts, and of those
-    that reached the optimum; left_out: leave-one-pose-out errors of the training poses; errors: error model of positions; doubts:
+    that reached the optimum; left_out: leave-one-pose-out errors of the training poses; errors: error model; doubts:
     contradictions of the stated noise.
     """
 
@@ -160,9 +160,10 @@ def fit_effects(
             if not some.all():
                 result, reweighted = fit_to_all(result, noise_of_part, reweighted, means, noise_of_means)
             of_part = replace(result, problem=result.problem.only(some))
-            out = left_out(of_part, np.unique(part.table["pose"], return_inverse=True)[1])
+            poses = np.unique(part.table["pose"], return_inverse=True)[1]
+            out = left_out(of_part, poses)
             sizes = SmoothVariances.of(result, means, device.known)
-            result, smooth = beside_smooth_errors(sizes, sizes.variance, float(out.excess()))
+            result, smooth = beside_smooth_errors(sizes, sizes.variance, excess(of_part, poses))
             errors = beyond_measured(smooth, sizes, sizes.variance)
             if sizes.inputs:
                 say(f"the residuals are smooth in {', '.join(sizes.inputs)}: uncertainties allow for it")

@@ -247,18 +247,23 @@ class LeastSquares:
         """Factor that whitens each stacked residual, robust weights included, shape (n,)."""
         return self._stacked(lambda block: block.weight.T)
 
-    @cached_property
-    def scatter(self) -> float:
-        """Median standard deviation about the model of the rows measured in metres [m]; 0 where there are none."""
-        lengths = [block.spread for block in self.blocks if block.leading == METRE]
-        return float(np.median(np.concatenate(lengths))) if lengths else 0.0
+    @property
+    def units(self) -> tuple[MeasurementUnit, ...]:
+        """The units of its residuals."""
+        return tuple(dict.fromkeys(unit for block in self.blocks for unit in block.observation.units))
 
-    @cached_property
-    def device(self) -> float:
-        """Median standard deviation of the device's noise of rows with residuals in metres [m]; 0 where there are none."""
-        sigma = [block.sigma[[unit == METRE for unit in block.observation.units]] for block in self.blocks]
-        lengths = [np.sqrt((rows**2).mean(axis=0)) for rows in sigma if len(rows)]
-        return float(np.median(np.concatenate(lengths))) if lengths else 0.0
+    def scatter(self, unit: MeasurementUnit = METRE) -> float:
+        """Return the median standard deviation about the model of the rows with residuals in a unit; 0 where there are none."""
+        return self._median(unit, lambda block: block.total)
+
+    def device(self, unit: MeasurementUnit = METRE) -> float:
+        """Return the device's part of it."""
+        return self._median(unit, lambda block: block.sigma)
+
+    def _median(self, unit: MeasurementUnit, of: Callable[[SeriesBlock], np.ndarray]) -> float:
+        every = (of(block)[[other == unit for other in block.observation.units]] for block in self.blocks)
+        sizes = [np.sqrt((rows**2).mean(axis=0)) for rows in every if len(rows)]
+        return float(np.median(np.concatenate(sizes))) if sizes else 0.0
 
     @property
     def scale(self) -> float:

@@ -18,10 +18,10 @@ import scipy
 from calflow.estimation.accuracy import Residual, completed, leading_errors, residuals
 from calflow.estimation.fit import Fit
 from calflow.estimation.least_squares import LeastSquares
-from calflow.estimation.noise import Noise
+from calflow.estimation.noise import Noise, PerUnit
 from calflow.files.deferred import pd
 from calflow.files.tables import column, typed
-from calflow.files.units import METRE
+from calflow.files.units import METRE, MeasurementUnit
 from calflow.measurements.measurements import Measurements
 
 FALSE_FLAGS = 0.01  # chance that any good row of a whole data set is flagged
@@ -113,9 +113,9 @@ def judged_table(result: Fit, data: Measurements, studentised: Studentised, flag
 class LeftOut:
     """Leave-one-pose-out errors, whitened: the sum of their squares, its expectation, and the number of errors.
 
-    degrees_of_freedom: those of their mean square; share: median over poses of the expected squared error; scatter [m]:
-    standard deviation per axis about the model; device [m]: the device's part of it; residual_freedom: degrees of freedom of the
-    residuals.
+    degrees_of_freedom: those of their mean square; share: median over poses of the expected squared error; scatter [m, or another
+    unit]: standard deviation per axis about the model; device: the device's part of it; residual_freedom: degrees of freedom of
+    the residuals.
     """
 
     sum_of_squares: float
@@ -154,7 +154,7 @@ class LeftOut:
         )
 
     def excess(self, level: np.ndarray | float = 1.0) -> np.ndarray:
-        """Return the model's excess error, standard deviation per axis [m], with the squares scaled by level; at least 0."""
+        """Return the model's excess error, standard deviation per axis, with the squares scaled by level; at least 0."""
         if not self.number:
             return np.zeros(np.shape(level))
         more = np.maximum(level * np.float64(self.sum_of_squares / self.expected) - 1.0, 0.0) * self.share
@@ -174,14 +174,20 @@ class LeftOut:
         return self.excess(self.residual_freedom / rng.chisquare(self.residual_freedom, number))
 
 
-def left_out(fit: Fit, pose: np.ndarray) -> LeftOut:
+def excess(fit: Fit, pose: np.ndarray) -> PerUnit:
+    """Return the excess of leave-one-pose-out errors over noise and parameters, for each unit, as for `left_out`."""
+    return PerUnit(tuple((unit, float(left_out(fit, pose, unit).excess())) for unit in fit.problem.units))
+
+
+def left_out(fit: Fit, pose: np.ndarray, unit: MeasurementUnit = METRE) -> LeftOut:
     """Return the leave-one-pose-out errors of a fitted model.
 
     Args:
-        fit: the fitted model; only residuals in metres are taken into account.
+        fit: the fitted model.
         pose: number of each row's pose, (n_rows,): rows of one pose are left out together.
+        unit: that of the residuals that are taken into account.
     """
-    squares, covered, sizes = np.concatenate([*_by_pose(fit, pose), np.zeros((3, 0))], axis=1)
+    squares, covered, sizes = np.concatenate([*_by_pose(fit, pose, unit), np.zeros((3, 0))], axis=1)
     number = int(sizes.sum())
     share = float(np.median(covered / sizes)) if number else 0.0
     freedom = max(1.0, number - fit.effective_parameters)
@@ -189,25 +195,26 @@ def left_out(fit: Fit, pose: np.ndarray) -> LeftOut:
     total, expected = float(sum(squares)), float(sum(covered))
     # Effective degrees of freedom (Satterthwaite 1946): poses of high leverage dominate the mean.
     independent = expected**2 / float(sum(covered**2)) if number else 0.0
-    return LeftOut(total, expected, number, independent, share, fit.problem.scatter, fit.problem.device, freedom)
+    problem = fit.problem
+    return LeftOut(total, expected, number, independent, share, problem.scatter(unit), problem.device(unit), freedom)
 
 
-def _by_pose(fit: Fit, pose: np.ndarray) -> Iterator[np.ndarray]:
+def _by_pose(fit: Fit, pose: np.ndarray, unit: MeasurementUnit) -> Iterator[np.ndarray]:
     """Yield (3, n_poses), for poses of equal size: squared whitened leave-one-out error, its expectation, number of residuals."""
     for block in fit.problem.reweighted(fit.estimate, fit.loss).blocks:
-        lengths = np.array([unit == METRE for unit in block.observation.units])
-        if not lengths.any():
+        judged = np.array([other == unit for other in block.observation.units])
+        if not judged.any():
             continue
         block = block.at(np.argsort(pose[block.rows], kind="stable"))
         for part in block.parts(pose[block.rows]):
-            residual, jacobian = (of[:, lengths] for of in part.linearised(fit.estimate))
+            residual, jacobian = (of[:, judged] for of in part.linearised(fit.estimate))
             _, first, count = np.unique(pose[part.rows], return_index=True, return_counts=True)
             for many in np.unique(count):
                 rows_of = first[count == many, None] + np.arange(many)
                 error = residual[rows_of].reshape(len(rows_of), -1)
                 n_poses, size = error.shape
                 slopes = jacobian[rows_of].reshape(n_poses, size, -1)
-                spread = np.einsum("nij,ab->niajb", part.covariance(rows_of), np.eye(lengths.sum()))
+                spread = np.einsum("nij,ab->niajb", part.covariance(rows_of), np.eye(judged.sum()))
                 spread = spread.reshape(n_poses, size, size)
                 weighed = np.linalg.solve(spread - slopes @ fit.covariance @ slopes.transpose(0, 2, 1), spread)
                 missed = np.einsum("nji,nj->ni", weighed, error)

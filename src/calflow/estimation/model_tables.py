@@ -215,7 +215,7 @@ def fit_figures(
         "discrepancies": {unit.label: unit.shown(size) for unit, size in noise.discrepancy.sizes},
         "new_poses_mm": None if np.isnan(new_poses) else 1e3 * new_poses,
         "new_poses_limit_mm": None if np.isnan(limit) else 1e3 * limit,
-        "rest_mm": 1e3 * errors.rest,
+        "rest_mm": 1e3 * errors.rest[METRE],
         "loss": fit.loss,
         "reduced_chi2": lack.reduced_chi2 if noise.known else None,
         "lack_of_fit_p": lack.p if noise.known else None,

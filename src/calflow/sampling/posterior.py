@@ -7,8 +7,7 @@ measured by power scaling (Kallioinen et al. 2023).
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -16,14 +15,13 @@ import numpy as np
 import scipy
 
 from calflow.estimation.accuracy import distances, errors, errors_of_draws, judged_unit
-from calflow.estimation.calibrated_model import CalibratedModel, left_variance
+from calflow.estimation.calibrated_model import CalibratedModel, Quantity, errors_in_unit, offsets
 from calflow.estimation.parameters import UNIT
 from calflow.estimation.progress import Draws
 from calflow.files.deferred import pd
 from calflow.files.tables import column, typed
 from calflow.files.units import METRE, MeasurementUnit
 from calflow.measurements.measurements import Measurements
-from calflow.model import Model
 from calflow.observations import leading_units
 from calflow.sampling.chain import ENOUGH_TAU, ChainLength
 from calflow.sampling.log_posterior import Laplace, LogPosterior
@@ -70,9 +68,6 @@ class ChainSummary:
     )
 
 
-Quantity = Callable[[Model, np.ndarray], np.ndarray]  # (model, estimate) -> values of rows (n_rows, 3)
-
-
 def drawn(posterior: Posterior, number: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Return a number of a posterior's draws, at most all: points (n_draws, n_parameters + 1), and the rivals that act in each.
 
@@ -86,10 +81,8 @@ def drawn(posterior: Posterior, number: int, rng: np.random.Generator) -> tuple[
 
 def shifts(calibrated: CalibratedModel, acts: np.ndarray, quantity: Quantity) -> np.ndarray:
     """Return the change of a quantity of rows by the rivals that act in each draw, (n_draws, n_rows, 3); acts as of `drawn`."""
-    model = calibrated.model
-    current = quantity(model, calibrated.estimate)
-    rivals = [quantity(replace(other.model, given=model.given), other.estimate) for other in calibrated.alternatives]
-    return np.einsum("dk,kri->dri", acts.astype(float), np.reshape(rivals, (-1, *current.shape)) - current)
+    moved = offsets(calibrated.alternatives, calibrated.model, calibrated.estimate, quantity)
+    return np.einsum("dk,rik->dri", acts.astype(float), moved)
 
 
 def sensitivity(values: np.ndarray, log_density: np.ndarray) -> np.ndarray:
@@ -255,12 +248,9 @@ def _quantiles(deviation: np.ndarray, level: np.ndarray, sigma: np.ndarray, rng:
 def _remaining_sd(calibrated: CalibratedModel, data: Measurements, unit: MeasurementUnit) -> np.ndarray:
     """Return the sd of errors not due to parameters or choice of model, noise included, (n_rows, 3) in the unit judged."""
     noise = calibrated.noise(data)
-    fitted = np.tile(noise.total[:, None], 3)
-    if unit != METRE:
-        return fitted
     device = noise.sigma[:, None] if calibrated.noise_known else 0.0
-    discrepancy = left_variance(replace(calibrated, field=None), data.conditions)
-    return np.where(data.held_out[:, None], np.sqrt(device**2 + discrepancy), fitted)
+    held = np.sqrt(device**2 + errors_in_unit(calibrated, data, unit).left)
+    return np.where(data.held_out[:, None], held, noise.total[:, None])
 
 
 def _missing_steps(steps: int, tau: float, ess: float, length: ChainLength) -> int:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calflow.estimation.calibrated_model import CalibratedModel, expected_point, left_variance
+from calflow.estimation.calibrated_model import CalibratedModel, Quantity, expected_point, left_variance
 from calflow.estimation.error_model import of_parameters
 from calflow.estimation.extrapolation import beyond
 from calflow.files.deferred import pd
@@ -20,7 +20,7 @@ from calflow.files.units import RADIAN
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 from calflow.observations.pose import Pose
-from calflow.sampling.posterior import Posterior, Quantity, drawn, shifts
+from calflow.sampling.posterior import Posterior, drawn, shifts
 
 Slope = Callable[[Model, np.ndarray, np.ndarray], np.ndarray]  # (model, estimate, packed rows) -> Jacobian
 TASK_DRAWS = 1000
