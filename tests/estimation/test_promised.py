@@ -6,16 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from calflow.deployment.validation import validate
 from calflow.estimation.accuracy import distances, errors
-from calflow.estimation.calibrated_model import errors_in_unit
+from calflow.estimation.calibrated_model import errors_in_unit, rotation_variance
 from calflow.estimation.certainty import promised_limits
 from calflow.estimation.identification import fit_effects
 from calflow.files.units import METRE
 from calflow.measurements.series import Series
 from hidden.devices import Arm, measured, rows
-from robots import ur10
+from robots import tool_rotation, ur10
 
 NOISE = 1e-4  # m, of a wire
 ANCHOR = np.array([1.2, 0.5, 0.1])
@@ -101,3 +102,30 @@ def test_where_nothing_wandered_no_more_is_promised():
     within, wider = later(lambda q, time, rng: np.zeros(q.shape))
     assert within > 0.9
     assert wider == pytest.approx(1.0, abs=0.15)
+
+
+def test_a_turn_is_as_sure_as_parameters_and_functions_together():
+    """Fails if the tool's turn is promised by the parameters alone, which hold what smooth errors could imitate."""
+    away = []
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        arm = Arm.drawn(ur10(), rng)
+        q = arm.random(100, rng, reach=2.0)
+        at = q + 4e-4 * waves(q, q[:, 0], rng)
+        turned = tool_rotation(arm.robot, at, arm.figures)
+        seen = Rotation.from_matrix(turned) * Rotation.from_rotvec(1e-4 * rng.standard_normal((100, 3)))
+        table = rows(q).assign(
+            **dict(zip("xyz", (arm.tool(at) + NOISE * rng.standard_normal((100, 3))).T, strict=True))
+        )
+        table = table.assign(sigma_rotation=1e-4, **dict(zip(("qx", "qy", "qz", "qw"), seen.as_quat().T, strict=True)))
+        data = measured(arm.robot, table, Series.of("", "pose"), NOISE)
+        there = rng.random(100) < 0.3
+        data = replace(data, table=data.table.assign(split=np.where(there, "holdout", "train")))
+        found = fit_effects(data, ("geometry",), starts=1)
+        known, conditions = found.known, found.data.conditions
+        off = turned.swapaxes(1, 2) @ known.model.rotation(known.estimate, conditions)
+        sd = np.sqrt(rotation_variance(known, conditions))
+        away.append((Rotation.from_matrix(off).as_rotvec() / sd)[there])
+    off = np.concatenate(away)
+    assert (np.abs(off) < 1.96).mean() > 0.9
+    assert 0.85 < np.sqrt((off**2).mean()) < 1.15

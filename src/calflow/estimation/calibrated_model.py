@@ -6,7 +6,7 @@ the few others can be evaluated in full; Madigan and Raftery 1994). Predictive v
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Self
@@ -238,16 +238,20 @@ def left_variance(calibrated: CalibratedModel, conditions: np.ndarray) -> np.nda
     if calibrated.field:
         return np.asarray(calibrated.field.variance(readings(calibrated, conditions))[:, None])
     model, estimate = calibrated.model, calibrated.estimate
-    every = (calibrated.errors.slopes(model, estimate, part) for part in _some(conditions))
-    smooth = [np.maximum(np.subtract(*_with_and_without(calibrated, slopes)), 0.0) for slopes in every]
-    return np.concatenate(smooth) + calibrated.errors.rest[METRE] ** 2
+    whole, alone = _with_and_without(
+        calibrated, (calibrated.errors.slopes(model, estimate, part) for part in _some(conditions))
+    )
+    return np.maximum(whole - alone, 0.0) + calibrated.errors.rest[METRE] ** 2
 
 
-def _with_and_without(calibrated: CalibratedModel, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return variances (n_rows, n_axes) with and without smooth errors, of what has derivatives as for `ErrorModel.shared`."""
-    covariance = calibrated.covariance
-    whole = (calibrated.errors.shared(slopes, covariance) ** 2).sum(axis=2)
-    return whole, of_parameters(slopes[:, :, : len(covariance)], covariance)
+def _with_and_without(calibrated: CalibratedModel, every: Iterable[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Return variances (n_rows, n_axes) with and without smooth errors, by parts of derivatives as for `ErrorModel.shared`."""
+    covariance, parts = calibrated.covariance, list[tuple[np.ndarray, np.ndarray]]()
+    for slopes in every:
+        whole = (calibrated.errors.shared(slopes, covariance) ** 2).sum(axis=2)
+        parts.append((whole, of_parameters(slopes[:, :, : len(covariance)], covariance)))
+    wholes, alone = zip(*parts, strict=True)
+    return np.concatenate(wholes), np.concatenate(alone)
 
 
 def expected_point(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
@@ -272,10 +276,21 @@ def readings(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
 def rotation_variance(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
     """Return the predictive variance of each row's orientation about the tool's axes, shape (n_rows, 3) [rad²].
 
-    Rotations that the data do not determine have the variance of their priors (see `untold_turns`).
+    It is by parameters and smooth errors, as that of positions. Rotations that the data do not determine have the variance of their
+    priors (see `untold_turns`).
     """
-    jacobian = calibrated.model.rotation_jacobian(calibrated.estimate, conditions)
-    return of_parameters(jacobian, calibrated.covariance) + calibrated.discrepancy[RADIAN] ** 2
+    return _of_rotations(calibrated, conditions)[0] + calibrated.errors.rest[RADIAN] ** 2
+
+
+def left_rotation_variance(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
+    """Return the part of it beyond that by the parameters, as `left_variance` that of positions."""
+    whole, alone = _of_rotations(calibrated, conditions)
+    return np.maximum(whole - alone, 0.0) + calibrated.errors.rest[RADIAN] ** 2
+
+
+def _of_rotations(calibrated: CalibratedModel, conditions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    slopes, at = calibrated.errors.slopes_of_rotations, (calibrated.model, calibrated.estimate)
+    return _with_and_without(calibrated, (slopes(*at, part) for part in _some(conditions)))
 
 
 def untold_turns(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
@@ -348,9 +363,7 @@ def errors_in_unit(calibrated: CalibratedModel, data: Measurements, unit: Measur
     for rows in parts if basis.shape[2] else ():
         along += np.einsum("nak,nam->km", basis[rows], slopes(rows))
     every = (np.nan_to_num((slopes(rows) - basis[rows] @ along) / root[rows, :, None]) for rows in parts)
-    whole, alone = (
-        np.concatenate(of) for of in zip(*(_with_and_without(calibrated, own) for own in every), strict=True)
-    )
+    whole, alone = _with_and_without(calibrated, every)
     choice = choice_errors(calibrated.alternatives, model, estimate, lambda m, p: errors(m, p, data, unit))
     rest = smooth.rest[unit] ** 2
     of_choice = np.nan_to_num((choice / root[:, :, None]) ** 2).sum(axis=2)

@@ -128,10 +128,17 @@ class ErrorModel:
         self, model: Model, estimate: np.ndarray, data: Measurements, unit: MeasurementUnit
     ) -> np.ndarray:
         """Return those of the values that devices report in a unit (see `errors`), (n_rows, 3 or more, n) [unit]."""
-        beside, n = _with(model, self.functions), len(estimate)
-        slopes = error_jacobian(beside, np.append(estimate, beside.nominal[n:]), data, unit)
-        slopes[:, :, n:] *= self.sd
-        return slopes
+        beside, at = _with(model, self.functions, estimate)
+        return self._over_sd(error_jacobian(beside, at, data, unit))
+
+    def slopes_of_rotations(self, model: Model, estimate: np.ndarray, conditions: np.ndarray) -> np.ndarray:
+        """Return those of the tool's rotation about its own axes, (n_rows, 3, n) [rad]."""
+        beside, at = _with(model, self.functions, estimate)
+        return self._over_sd(beside.rotation_jacobian(at, conditions))
+
+    def _over_sd(self, slopes: np.ndarray) -> np.ndarray:
+        """Return derivatives (…, n_parameters + n_functions) by parameters and amplitudes, the latter over sd."""
+        return slopes * np.append(np.ones(self.slope.shape[1]), self.sd)
 
     def moved(self, model: Model, estimate: np.ndarray, conditions: np.ndarray) -> np.ndarray:
         """Return the change of rows' reported positions by each amplitude at one sd, (n_rows, 3, n_functions) [m].
@@ -141,9 +148,10 @@ class ErrorModel:
         moved = np.zeros((conditions.shape[1], 3, len(self.sd)))
         in_space = tuple(function for function in self.functions if not function.of_images)
         if in_space:
-            beside, n = _with(model, in_space), len(estimate)
-            at = np.append(estimate, beside.nominal[n:])
-            moved[:, :, self._of(in_space.__contains__)] = beside.position_jacobian(at, conditions)[:, :, n:]
+            beside, at = _with(model, in_space, estimate)
+            moved[:, :, self._of(in_space.__contains__)] = beside.position_jacobian(at, conditions)[
+                :, :, len(estimate) :
+            ]
         return moved * self.sd
 
     def about_mean(self, covariance: np.ndarray) -> np.ndarray:
@@ -246,8 +254,14 @@ def read_errors(table: pd.DataFrame, model: Model, kinds: Mapping[str, type[Smoo
     return ErrorModel(tuple(functions), sd, mean, slope, told, offset, rest)
 
 
+def _with(model: Model, functions: tuple[SmoothFunction, ...], estimate: np.ndarray) -> tuple[Model, np.ndarray]:
+    """Return a model with functions beside it, and its parameters."""
+    beside = _beside(model, functions)
+    return beside, np.append(estimate, beside.nominal[len(estimate) :])
+
+
 @lru_cache(maxsize=8)
-def _with(model: Model, functions: tuple[SmoothFunction, ...]) -> Model:
+def _beside(model: Model, functions: tuple[SmoothFunction, ...]) -> Model:
     """Return a model with functions beside it; cached, since its derivatives take longer to build than to evaluate."""
     return replace(model, probes=functions)
 

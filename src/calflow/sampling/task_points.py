@@ -11,12 +11,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calflow.estimation.calibrated_model import CalibratedModel, Quantity, expected_point, left_variance
+from calflow.estimation.calibrated_model import (
+    CalibratedModel,
+    Quantity,
+    expected_point,
+    left_rotation_variance,
+    left_variance,
+)
 from calflow.estimation.error_model import of_parameters
 from calflow.estimation.extrapolation import beyond
 from calflow.files.deferred import pd
 from calflow.files.tables import column, typed
-from calflow.files.units import RADIAN
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 from calflow.observations.pose import Pose
@@ -119,7 +124,9 @@ def point_errors(
         factor * left_variance(calibrated, conditions) + widened,
     )
     turn = errors(
-        _turn_from(calibrated, conditions), Model.rotation_jacobian, factor * calibrated.discrepancy[RADIAN] ** 2
+        _turn_from(calibrated, conditions),
+        Model.rotation_jacobian,
+        factor * left_rotation_variance(calibrated, conditions),
     )
     return PointErrors(*map(np.stack, zip(position, turn, strict=True)))
 
