@@ -26,7 +26,7 @@ import scipy
 from calflow.diagnosis.background import JOINTS, BackgroundBasis, Sizes, background, beside_background, uneven_causes
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.form_error import with_form_errors
-from calflow.diagnosis.regressors import Place, Regressors
+from calflow.diagnosis.regressors import Place
 from calflow.diagnosis.screening import Catalogue, Score, Screening
 from calflow.diagnosis.stepwise import REACH, SPLIT, CauseAcceptance, Stepwise, second_thoughts, verified, words
 from calflow.diagnosis.trial import FINER_STEPS, Detection, Linearisation, Screened, Trial, is_new
@@ -236,26 +236,47 @@ def pose_blocks(fitted: Fitted) -> list[np.ndarray]:
     return [kind[fitted.problem.row] for kind in kinds]
 
 
-def left_out_errors(model: Regressors[Cause], block: np.ndarray) -> list[np.ndarray]:
-    """Return the whitened prediction errors of each block of residuals (n,), with parameters fitted to the other blocks."""
-    rows = [np.flatnonzero(block == number) for number in np.unique(block)]
-    both = np.column_stack([model.jacobian, model.residual])
-    products, errors = [both[own].T @ both[own] for own in rows], []
-    for k, own in enumerate(rows):
-        others = np.sum(products[:k] + products[k + 1 :], axis=0)
-        change = np.linalg.solve(np.diag(model.precision) + others[:-1, :-1], model.pull + others[:-1, -1])
-        errors.append(model.residual[own] - model.jacobian[own] @ change)
-    return errors
+@dataclass(frozen=True, eq=False)
+class LeftOutBlock:
+    """A block of residuals (by index), predicted by a model fitted to the others.
+
+    factor: of I - H, with H the covariance of its predictions by the fit to all; error (n_own,): whitened, and follows from that
+    fit (Allen 1974).
+    """
+
+    rows: np.ndarray
+    factor: tuple[np.ndarray, bool]
+    error: np.ndarray
+
+    @staticmethod
+    def each(model: Screening[Cause], block: np.ndarray) -> list[LeftOutBlock]:
+        """Return the blocks of residuals numbered by block (n,)."""
+        blocks = []
+        for rows in (np.flatnonzero(block == number) for number in np.unique(block)):
+            root = model.prediction_root[:, rows]
+            factor = scipy.linalg.cho_factor(np.eye(len(rows)) - root.T @ root, lower=True)
+            blocks.append(LeftOutBlock(rows, factor, scipy.linalg.cho_solve(factor, model.settled_residual[rows])))
+        return blocks
+
+    def without(self, model: Screening[Cause], parameters: np.ndarray, value: np.ndarray) -> np.ndarray:
+        """Return the errors (n_own,) of the model without some free parameters (by index), whose estimates are value."""
+        shown = model.root_covariance(parameters)
+        moved = model.prediction_root[:, self.rows].T @ shown
+        alike = scipy.linalg.cho_solve(self.factor, moved)
+        estimate = value + model.change[parameters] + moved.T @ self.error  # by the other blocks, as is its covariance
+        return np.asarray(self.error - alike @ np.linalg.solve(shown.T @ shown + moved.T @ alike, estimate))
 
 
-def carried_over(fitted: Fitted, cause: Cause, beside: Regressors[Cause], kinds: Sequence[np.ndarray]) -> CarriedOver:
-    """Return the gain of a cause of the model, linearised with its background, at left-out blocks (n,) of each kind.
+def carried_over(
+    fitted: Fitted, cause: Cause, beside: Screening[Cause], kinds: Sequence[Sequence[LeftOutBlock]]
+) -> CarriedOver:
+    """Return the gain of a cause of the model, linearised with its background, at left-out blocks of each kind.
 
     A general smooth function of time cannot predict times that were left out: it is tested on blocks in joint space alone.
     """
-    gains, ratios, without = [], list[float](), beside.without(*fitted.own(cause))
-    for block in kinds[:1] if cause.effect.smooth_in else kinds:
-        pairs = list(zip(left_out_errors(without, block), left_out_errors(beside, block), strict=True))
+    gains, ratios = [], list[float]()
+    for blocks in kinds[:1] if cause.effect.smooth_in else kinds:
+        pairs = [(block.without(beside, *fitted.own(cause)), block.error) for block in blocks]
         gains.append(float(sum(a @ a - b @ b for a, b in pairs)))
         ratios += [np.log(np.abs(a).max() / np.abs(b).max()) for a, b in pairs]
     mean, spread = float(np.mean(ratios)), float(np.std(ratios, ddof=1)) / np.sqrt(len(ratios))
@@ -265,7 +286,10 @@ def carried_over(fitted: Fitted, cause: Cause, beside: Regressors[Cause], kinds:
 
 def carrying(fitted: Fitted, basis: BackgroundBasis) -> set[Cause]:
     """Return the causes of the model that carry over."""
-    beside, kinds = replace(fitted, background=background(fitted, basis)).beside, pose_blocks(fitted)
+    if not fitted.causes:
+        return set()
+    beside = Screening(replace(fitted, background=background(fitted, basis)).beside)
+    kinds = [LeftOutBlock.each(beside, kind) for kind in pose_blocks(fitted)]
     return {cause for cause in fitted.causes if carried_over(fitted, cause, beside, kinds).holds}
 
 

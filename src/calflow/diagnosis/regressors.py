@@ -157,6 +157,11 @@ class TallMatrix:
 
         return TallMatrix((probe.shape[0], probe.width), blocks)
 
+    def only(self, columns: np.ndarray) -> TallMatrix:
+        """Return some columns, (n, n_own)."""
+        kept = side_by_side(columns)
+        return TallMatrix((self.shape[0], len(columns)), lambda: ((rows, x[:, kept]) for rows, x in self.blocks()))
+
     def products(self, columns: np.ndarray) -> np.ndarray:
         """Return the Gram matrix of some columns, (n_own, n_own)."""
         parts = (x[:, columns] for _, x in self.blocks())
@@ -214,6 +219,12 @@ class RegressorProducts:
             mixed += jacobian[rows].T @ values
             left += values.T @ residual[rows]
         return RegressorProducts(jacobian.T @ jacobian, mixed, gram, squared, jacobian.T @ residual, left)
+
+    def only(self, columns: np.ndarray) -> RegressorProducts:
+        """Return the products of some regressors."""
+        kept = side_by_side(columns)
+        own, squared, left = self.own[kept], self.squared[kept], self.left[kept]
+        return replace(self, mixed=self.mixed[:, kept], own=own, squared=squared, left=left)
 
     def without(self, gone: np.ndarray, value: np.ndarray) -> RegressorProducts:
         """Return the products with some free parameters (by index) removed, whose estimates are value."""
@@ -329,22 +340,37 @@ class Regressors(Generic[H]):
         )
 
     def only(self, candidates: Iterable[Candidate[H]]) -> Regressors[H]:
-        """Return a copy with a subset of the candidates."""
-        return replace(self, candidates=tuple(candidates), added_up=self.products)
+        """Return a copy with a subset of the candidates, and their columns alone."""
+        kept = tuple(candidates)
+        columns = np.concatenate([np.zeros(0, dtype=int), *(candidate.columns for candidate in kept)])
+        ends = np.cumsum([len(candidate.columns) for candidate in kept])
+        return replace(
+            self,
+            matrix=self.matrix.only(columns),
+            prior_sd=self.prior_sd[columns],
+            candidates=tuple(
+                Candidate(candidate.cause, np.arange(end - len(candidate.columns), end))
+                for candidate, end in zip(kept, ends, strict=True)
+            ),
+            amplitude_freedom=None if self.amplitude_freedom is None else self.amplitude_freedom[columns],
+            added_up=self.products.only(columns),
+        )
 
     def moving(self, matrix: TallMatrix) -> Regressors[H]:
         """Return a copy with another matrix of regressors."""
         return replace(self, matrix=matrix, added_up=None)
 
-    def taking(self, columns: np.ndarray) -> Regressors[H]:
-        """Return the regressors of the model with some columns as additional free parameters, still at zero."""
+    def as_parameters(self, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return some columns (n, n_own) and their precision (n_own,), to be further parameters."""
         taken = np.zeros((self.matrix.shape[1], len(columns)))
         taken[columns, np.arange(len(columns))] = 1.0
-        return self.with_parameters(self.matrix.times(taken), self.prior_sd[columns] ** -2.0)
+        return self.matrix.times(taken), self.prior_sd[columns] ** -2.0
 
 
 def side_by_side(numbers: np.ndarray) -> np.ndarray | slice:
     """Return increasing indices (n,) as a slice where they are consecutive, so that NumPy indexes without a copy."""
+    if not len(numbers):
+        return numbers
     first, last = int(numbers[0]), int(numbers[-1])
     return slice(first, last + 1) if last - first == len(numbers) - 1 else numbers
 

@@ -216,6 +216,16 @@ class Screening(Generic[H]):
         """Newton step of the free parameters, (n_free,)."""
         return np.asarray(-scipy.linalg.solve_triangular(self._factor.T, self._gradient, lower=False))
 
+    @cached_property
+    def settled_residual(self) -> np.ndarray:
+        """Residual after the Newton step, (n,)."""
+        return np.asarray(self.regressors.residual + self.regressors.jacobian @ self.change)
+
+    @cached_property
+    def prediction_root(self) -> np.ndarray:
+        """A root R (n_free, n) of the covariance RᵀR of the predicted residuals."""
+        return np.asarray(scipy.linalg.solve_triangular(self._factor, self.regressors.jacobian.T, lower=True))
+
     def root_covariance(self, parameters: np.ndarray) -> np.ndarray:
         """Return a root R (n_free, n) of the covariance RᵀR of some free parameters, given by indices."""
         picked = np.eye(len(self._factor))[:, parameters]
@@ -402,9 +412,8 @@ class Screening(Generic[H]):
         """
         r = self.regressors
         n = len(r.residual)
-        settled = r.residual + r.jacobian @ self.change
-        leverage = (scipy.linalg.solve_triangular(self._factor, r.jacobian.T, lower=True) ** 2).sum(axis=0)
-        size = settled / np.sqrt(np.maximum(1 - leverage, 0.05))
+        leverage = (self.prediction_root**2).sum(axis=0)
+        size = self.settled_residual / np.sqrt(np.maximum(1 - leverage, 0.05))
         places = list(dict.fromkeys(r.candidates[m].cause.place for block in self._blocks for m in block.members))
         number = {place: k for k, place in enumerate(places)}
         drawn = [_drawn(rng, n, r.precision, count) for count in np.diff([*range(0, DRAWS, DRAWN_AT_ONCE), DRAWS])]

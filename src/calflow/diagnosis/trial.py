@@ -106,7 +106,7 @@ class Linearisation(Generic[H]):
             columns = np.sort(np.concatenate([self.columns[self.causes.index(cause)] for cause in gone]))
             regressors = regressors.without(columns, self.value[columns])
         if come := [c.columns for c in every if c.cause in causes and c.cause not in self.causes]:
-            regressors = regressors.taking(np.concatenate(come))
+            regressors = regressors.with_parameters(*self.regressors.as_parameters(np.concatenate(come)))
         return Screening(regressors)
 
     def apart(self, gone: Sequence[H]) -> Screening[H]:
