@@ -86,7 +86,7 @@ class Artefact(Touched):
         n = len(self.names)
         at = self.frame(p[: 6 * n], y[3:])
         scale = 1 + (p[6 * n] if self._scale_sd else 0.0)
-        return seen.point - (at[:3, 3] + at[:3, :3] @ (scale * y[:3]))
+        return seen.device(seen.point) - (at[:3, 3] + at[:3, :3] @ (scale * y[:3]))
 
     def registered(self, points: np.ndarray, rotations: np.ndarray, table: pd.DataFrame) -> Self:
         """Return the observation with each artefact registered to the nominal robot's points (Kabsch 1976)."""

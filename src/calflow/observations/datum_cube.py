@@ -96,7 +96,7 @@ class DatumCube(Surface):
     def error(self, p: ca.SX, seen: Seen, y: ca.SX) -> ca.SX:
         """Return the height over the face minus the reading."""
         at = self.frame(p, y[5:])
-        return ca.dot(y[1:4], at[:3, :3].T @ (seen.point - at[:3, 3])) - y[4] - y[0]
+        return ca.dot(y[1:4], at[:3, :3].T @ (seen.device(seen.point) - at[:3, 3])) - y[4] - y[0]
 
     def registered(self, points: np.ndarray, rotations: np.ndarray, table: pd.DataFrame) -> Self:
         """Return the observation with each cube registered to the nominal robot's points."""

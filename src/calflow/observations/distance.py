@@ -106,7 +106,7 @@ class Distance(OfThings):
             offset, at = p[at], at + 1
         if "scale" in self._open:
             scale = p[at]
-        return (1 + scale) * ca.norm_2(seen.point - anchor) + offset - y
+        return (1 + scale) * ca.norm_2(seen.device(seen.point) - anchor) + offset - y
 
     def registered(self, points: np.ndarray, rotations: np.ndarray, table: pd.DataFrame) -> Self:
         """Return the observation with the anchor located by trilateration from the nominal robot's points."""

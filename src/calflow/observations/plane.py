@@ -69,7 +69,7 @@ class Plane(Surface):
         which = y[1:]
         values, none = ca.reshape(p, 3, len(self.names)), ca.SX(1, len(self.names))
         tilted = self.frame(ca.vec(ca.vertcat(none, none, values, none)), which)
-        return ca.dot(tilted[:3, 2], seen.point - tilted[:3, 3]) - y[0]
+        return ca.dot(tilted[:3, 2], seen.device(seen.point) - tilted[:3, 3]) - y[0]
 
     def registered(self, points: np.ndarray, rotations: np.ndarray, table: pd.DataFrame) -> Self:
         """Return the observation with each plane fitted to the nominal robot's points."""

@@ -108,7 +108,7 @@ class SamePoint(OfThings):
     def error(self, p: ca.SX, seen: Seen, y: ca.SX) -> ca.SX:
         """Return the marker's position minus the socket's."""
         place = self._places(p) @ y
-        return seen.point - (apply(seen.link(self._on), place) if self._on else place)
+        return seen.point - apply(seen.link(self._on), place) if self._on else seen.device(seen.point) - place
 
     @property
     def _on(self) -> str:

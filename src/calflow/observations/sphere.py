@@ -84,7 +84,7 @@ class Sphere(Surface):
         n = len(self.names)
         centre = (ca.DM(np.array(self.nominal)[:, :3].T) + ca.reshape(p[: 3 * n], 3, n)) @ y[1:]
         radius = self.radius + (p[3 * n] if self._radius_sd else 0.0)
-        return ca.norm_2(seen.point - centre) - radius - y[0]
+        return ca.norm_2(seen.device(seen.point) - centre) - radius - y[0]
 
     def registered(self, points: np.ndarray, rotations: np.ndarray, table: pd.DataFrame) -> Self:
         """Return the observation with each sphere fitted to the nominal robot's points; an unknown radius is the fits' mean."""

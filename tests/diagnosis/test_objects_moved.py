@@ -1,0 +1,68 @@
+"""What the robot touches, or a wire's anchor, that is knocked once."""
+
+from __future__ import annotations
+
+import runpy
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import calflow as cf
+
+FIRST_STEPS = Path(__file__).parents[2] / "studies" / "first-steps"
+ARM = runpy.run_path(str(FIRST_STEPS / "measured.py"))  # an arm by NumPy and SciPy alone
+KNOCK = np.array([4e-4, -4e-4, 0.0])  # m
+READINGS = [f"q{k}_deg" for k in range(1, 7)]
+
+
+def lengths(rng: np.random.Generator) -> pd.DataFrame:
+    """Lengths of a wire whose anchor is knocked after 70 of 140 rows."""
+    q = rng.uniform(ARM["LOW"], ARM["HIGH"], (140, 6))
+    anchor = np.array([1.9, 0.3, -0.2]) + (np.arange(140) >= 70)[:, None] * 2 * KNOCK
+    length = np.linalg.norm(ARM["ball"](q) - anchor, axis=1) + rng.normal(0, 5e-5, 140)
+    return pd.DataFrame(np.degrees(q), columns=READINGS).assign(length_mm=1e3 * length)
+
+
+def touches(rng: np.random.Generator) -> pd.DataFrame:
+    """Touches of two sockets in four places; the second pair slides after half of its touches, 36 of all."""
+    rows = []
+    places = [(0.75, -0.2, 0.3), (0.65, 0.35, 0.55), (-0.1, 0.8, 0.45), (0.35, -0.7, 0.85)]
+    for placement, place in enumerate(places, 1):
+        for touch in range(24):
+            name = ("left", "right")[touch % 2]
+            slid = KNOCK * (placement == 2 and touch >= 12)
+            at = np.array(place) + (name == "right") * ARM["BESIDE"] + slid + rng.normal(0, 3e-5, 3)
+            rows.append([str(placement), name, *np.degrees(ARM["touching"](at, rng))])
+    return pd.DataFrame(rows, columns=["placement", "socket", *READINGS])
+
+
+@pytest.mark.parametrize(("study", "rows", "moment"), [("wire", lengths, 70), ("sockets", touches, 36)])
+def test_what_is_touched_may_be_knocked(tmp_path, study, rows, moment):
+    """Fails if a wire's anchor or a pair of sockets that moved once is missed, or taken for joints whose zeros jumped."""
+    folder = shutil.copytree(FIRST_STEPS, tmp_path / "study")
+    rows(np.random.default_rng(1)).to_csv(folder / f"{study}.csv", index=False)
+    found = cf.run(cf.load_study(folder / f"{study}.toml"), tmp_path / "run").tables["diagnose/findings.csv"]
+    step = found[found["cause"] == "frame-step"].iloc[0]
+    assert step["status"] == "named", found["statement"].tolist()
+    assert not (found["cause"] == "joint-step").any(), found["statement"].tolist()
+    assert abs(int(step["detail"].split()[2]) - moment) <= 3, step["detail"]
+    assert step["estimate"] == pytest.approx(np.linalg.norm(KNOCK) * (2 if study == "wire" else 1), abs=4 * step["sd"])
+
+
+def test_held_out_rows_about_a_step_are_not_judged(tmp_path):
+    """Fails if held-out rows of which the fitted ones do not tell whether the anchor had been knocked count as errors."""
+    folder = shutil.copytree(FIRST_STEPS, tmp_path / "study")
+    row = np.arange(140)
+    held = (row % 4 == 0) | (abs(row - 70) < 5)
+    lengths(np.random.default_rng(2)).assign(split=np.where(held, "holdout", "train")).to_csv(
+        folder / "wire.csv", index=False
+    )
+    tables = cf.run(cf.load_study(folder / "wire.toml"), tmp_path / "run").tables
+    assert (tables["diagnose/findings.csv"]["cause"] == "frame-step").any()
+    accuracy = tables["diagnose/accuracy.csv"]
+    last = accuracy[accuracy["split"] == "holdout"].iloc[-1]
+    assert last["n"] == held.sum() - 9
+    assert last["max_mm"] < 0.3
