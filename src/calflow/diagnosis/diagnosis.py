@@ -161,12 +161,15 @@ def extended_model(diagnosis: Diagnosis, calibrated: CalibratedModel, data: Meas
 
 
 def accuracy_table(diagnosis: Diagnosis, data: Measurements, before: Sequence[Accuracy]) -> pd.DataFrame:
-    """Return the accuracy of the previous models, and one step for each deployed cause."""
+    """Return the accuracy of the previous models, and one step for each deployed cause, by the rows of which it is decided whether
+    a step acts."""
     name, step, rows = before[-1].model, before[-1].step, list(before)
     deployed = zip(diagnosis.causes[: diagnosis.n_deployed], diagnosis.path, strict=False)
     for k, (cause, fit) in enumerate(deployed, start=step + 1):
         name += f" + {cause.id} {cause.part}"
-        rows += accuracy(name, leading_errors(fit.model, fit.estimate, data), data, k, cause)
+        error = leading_errors(fit.model, fit.estimate, data)
+        error[fit.model.undecided(data)] = np.nan
+        rows += accuracy(name, error, data, k, cause)
     return to_frame(rows, Accuracy)
 
 

@@ -299,6 +299,8 @@ def findings(
         return tuple(rows)
     fits = [(calibrated.model, calibrated.estimate), *((fit.model, fit.estimate) for fit in diagnosis.path)]
     steps = [errors(model, estimate, heldout) for model, estimate in fits]
+    for (model, _), error in zip(fits, steps, strict=True):
+        error[model.undecided(data)[data.held_out]] = np.nan
     n = diagnosis.n_deployed  # members of one family may be deployed and suspected
     suspected = [[n + k for k in members] for members in _kept_together(diagnosis.causes[n:])]
     for members in (*_kept_together(diagnosis.causes[:n]), *suspected):

@@ -241,14 +241,17 @@ def distances(error: np.ndarray) -> np.ndarray:
 def accuracy(
     name: str, error: np.ndarray, measured: Measurements, step: int = 0, added: Effect | None = None
 ) -> list[Accuracy]:
-    """Return one row per unit and split, from a model's `leading_errors`; added is the effect added in this step."""
+    """Return one row per unit and split, from a model's `leading_errors`, nan in rows that are not judged.
+
+    added is the effect added in this step.
+    """
     what = {"effect": added.id, "detail": added.detail} if added else {}
     where = {"joint": added.joint or None, "part": added.part} if isinstance(added, Cause) else {}
     leading, size = leading_units(measured), distances(error)
-    first = judged_unit(leading)
+    first, known = judged_unit(leading), np.isfinite(size)
     rows = []
     for unit in dict.fromkeys((first, *leading)):
-        judged = np.isin(measured.series_number, [k for k, other in enumerate(leading) if other == unit])
+        judged = known & np.isin(measured.series_number, [k for k, other in enumerate(leading) if other == unit])
         for split in ("train", "holdout"):
             part = unit.scale * size[judged & (measured.table["split"] == split).to_numpy()]
             if len(part):

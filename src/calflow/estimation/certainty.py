@@ -91,7 +91,7 @@ class Certainty:
         data, residuals = data.only(used), residuals[used]
         units = [observation.units for observation in calibrated.model.observations]
         unit = calibrated.unit
-        distance = errors_in(residuals, unit.label)
+        distance = np.where(calibrated.model.undecided(data), np.nan, errors_in(residuals, unit.label))
         there = np.isfinite(distance)
         held = bool((data.held_out & there).any())
         judged = (data.held_out if held else data.train) & there
@@ -175,7 +175,7 @@ def missed_poses(
         residuals: the table of their `Residual`s.
         error: size of each row's residual, (n_rows,) in the unit by which the model is judged; nan where there is none.
     """
-    there = np.flatnonzero(np.isfinite(error) & ~calibrated.model.undecided(data))
+    there = np.flatnonzero(np.isfinite(error))
     by_pose = pd.Series(error[there], index=there).groupby(residuals["pose"].to_numpy()[there])
     largest = by_pose.idxmax().to_numpy(dtype=int)
     if data.in_images:  # a single badly seen point of many does not speak against the pose
