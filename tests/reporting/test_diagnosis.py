@@ -20,7 +20,7 @@ from matplotlib.text import Text
 from calflow.deployment.run_outcome import RunOutcome
 from calflow.diagnosis.findings import Finding
 from calflow.effects import catalogue
-from calflow.effects.wording import amount, cause_name, place_name, place_names
+from calflow.effects.wording import NamedCause, amount, cause_name, place_name, place_names
 from calflow.files.tables import Results
 from calflow.files.words import chance, chance_figure, sureness
 from calflow.reporting import document
@@ -425,6 +425,16 @@ def test_several_causes_told_as_one_curve_of_a_torque_say_so(small: Context) -> 
     certainty = name_certainty(found)
     assert "depends on the joint's torque" in certainty
     assert certainty.endswith("its exact form or whether it is one cause or several.")
+
+
+def test_doubt_about_a_part_of_a_certain_curve_is_not_told_of_the_whole(small: Context) -> None:
+    """Fails if rivals of one of several waves make a curve that is there for certain one of several causes."""
+    (found,) = RunOutcome(with_diagnosis(small, ORDER_OPEN).results).findings
+    rivals = Finding.of_rivals([NamedCause("nonlinear-joint-stiffness", 3)])
+    found = replace(found, numbers=(1, 2), family_probability=0.99, **rivals)
+    assert found.names == "transmission error of joint 2 (a part of it may be nonlinear stiffness of joint 3)"
+    assert "A part of it may be another cause: nonlinear stiffness of joint 3 explains" in name_certainty(found)
+    assert replace(found, numbers=(1,)).names.endswith("of joint 2 or nonlinear stiffness of joint 3")
 
 
 @pytest.mark.parametrize(

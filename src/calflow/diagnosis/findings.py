@@ -44,6 +44,7 @@ from calflow.model import Model
 from calflow.observations import leading_units
 
 NAN = float("nan")
+SURE = 0.95  # probability from which a family of causes counts as certain
 PLACE = {"x", "y", "z"}  # inputs that are the tool's place
 INPUTS_IN_WORDS = {
     "pose": "the pose (all its markers are off alike)",
@@ -213,8 +214,15 @@ class Finding:
         return self.family_probability if self.of_family else self.probability
 
     @property
+    def is_in_part(self) -> bool:
+        """Whether its family is certain, and others are rivals of a part of it alone: of some of the causes that it holds."""
+        return self.of_family and len(self.numbers) > 1 and self.family_probability > SURE and bool(self.others)
+
+    @property
     def names(self) -> str:
         """Its name with its detail, and the names of the rivals that the data do not exclude."""
+        if self.is_in_part:
+            return f"{self.name} (a part of it may be {_one_of([rival.name for rival in self.others], 2)})"
         name = f"{self.name} ({self.detail})" if self.detail and not self.of_family else self.name
         return _one_of([name, *(rival.name for rival in self.others)])
 

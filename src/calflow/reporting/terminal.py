@@ -57,7 +57,8 @@ def _findings(outcome: RunOutcome) -> list[str]:
 def _in_words(finding: Finding) -> str:
     """Return a finding with its cause, joint, size, probability and gain."""
     gains = finding.status != "data_fault" and (finding.is_suspicion or shows_gain(finding))
-    sure = f", {'the first ' if finding.others else ''}with probability {sureness(finding.name_probability)}"
+    which = "the first " if finding.others and not finding.is_in_part else ""
+    sure = f", {which}with probability {sureness(finding.name_probability)}"
     return f"{finding.in_short}{sure if finding.is_cause else ''}{f'; {gain_words(finding)}' if gains else ''}"
 
 

@@ -290,9 +290,14 @@ def name_certainty(finding: Finding) -> str:
         verb = "explains" if len(tested) == 1 else "explain"
         why = [f"{listed(tested, 5)} {verb} these data as well, or nearly so"] if tested else []
         why += [f"{listed(untested, 5)} could not be tested with these data"] if untested else []
-        why += ["it may be part of the unexplained error"] if len(named) < len(finding.others) else []
+        why += (
+            [f"{'that' if finding.is_in_part else 'it'} may be part of the unexplained error"]
+            if len(named) < len(finding.others)
+            else []
+        )
+        doubt = "A part of it may be another cause" if finding.is_in_part else "Its name is not certain"
         sentences.append(
-            f"Its name is not certain: {', and '.join(why)} (probability of {finding.name}: "
+            f"{doubt}: {', and '.join(why)} (probability of {finding.name}: "
             f"{sureness(finding.name_probability)}{_of_its_family(finding)})."
         )
     elif UNEXPLAINED in finding.cannot_tell_from:

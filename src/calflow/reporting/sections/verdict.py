@@ -299,13 +299,18 @@ def unsure(outcome: RunOutcome) -> list[str]:
     }
     sentences = [f"The exact form of the {family}{of_which}." for family, of_which in of_joints.items()]
     for finding in outcome.findings:
-        if UNEXPLAINED in finding.cannot_tell_from:
+        if UNEXPLAINED in finding.cannot_tell_from and not finding.is_in_part:
             sentences.append(f"Whether {finding.name} is real or part of the unexplained error.")
         elif finding.status == "one_of" and finding.others:
             more = len(finding.others) - RIVALS
             names = [finding.name, *(rival.name for rival in finding.others[: RIVALS + (more == 1)])]
-            *first, last = [*names, f"one of {more} more"] if more > 1 else names
-            sentences.append(f"Which is the cause: {', '.join(first)} or {last}.")
+            *first, last = [*names[finding.is_in_part :], *([f"one of {more} more"] if more > 1 else [])]
+            either = f"{', '.join(first)} or {last}" if first else last
+            sentences.append(
+                f"Whether a part of {finding.name} is {either}."
+                if finding.is_in_part
+                else f"Which is the cause: {either}."
+            )
     left = outcome.unexplained
     if not left and outcome.lack_of_fit_words:
         return [*sentences, "Why more is left than noise: no cause explains it."]
