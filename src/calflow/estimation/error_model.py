@@ -138,7 +138,7 @@ class ErrorModel:
 
     def _over_sd(self, slopes: np.ndarray) -> np.ndarray:
         """Return derivatives (…, n_parameters + n_functions) by parameters and amplitudes, the latter over sd."""
-        return slopes * np.append(np.ones(self.slope.shape[1]), self.sd)
+        return slopes * np.append(np.ones(slopes.shape[-1] - len(self.sd)), self.sd)
 
     def moved(self, model: Model, estimate: np.ndarray, conditions: np.ndarray) -> np.ndarray:
         """Return the change of rows' reported positions by each amplitude at one sd, (n_rows, 3, n_functions) [m].
