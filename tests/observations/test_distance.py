@@ -53,15 +53,28 @@ def test_an_anchor_stated_roughly_is_fitted():
 
 
 def test_the_anchor_is_found_by_trilateration():
-    """Fails if lengths with a zero of 15 mm and a nominal robot's error do not find the anchor."""
+    """Fails if lengths with a zero of 15 mm and a nominal robot's error do not find the anchor, or count the zero as an error."""
     rng = np.random.default_rng(3)
     points = rng.uniform(-1, 1, size=(60, 3))
     rows = table(np.linalg.norm(points + 2e-3 * rng.normal(size=(60, 3)) - ANCHOR, axis=1) + 0.015)
     one = Distance.of(Series(), rows).registered(points, np.zeros((60, 3, 3)), rows)
     np.testing.assert_allclose(one.anchor, ANCHOR, atol=0.02)
+    assert abs(error(one, np.zeros(5), points, rows)).mean() < 2e-3
     assert through_json(one) == one
     (place,) = one.placements
-    assert Distance.of(Series(), rows).placed({place.what: place}) == one
+    assert Distance.of(Series(), rows).placed({place.what: place}).anchor == one.anchor
+
+
+def test_an_unknown_zero_of_a_known_anchor_is_found():
+    """Fails if a wire's zero counts as an error of the nominal robot, or moves an anchor whose place is stated."""
+    rng = np.random.default_rng(4)
+    points = rng.uniform(-1, 1, size=(60, 3))
+    rows = table(np.linalg.norm(points - ANCHOR, axis=1) + 0.015)
+    bare = Distance.of(Series.of("wire", "distance", {"anchor": tuple(ANCHOR)}), rows)
+    one = bare.registered(points, np.zeros((60, 3, 3)), rows)
+    assert one.anchor == tuple(ANCHOR)
+    assert error(one, np.zeros(2), points, rows)[:, 0] == pytest.approx(0.0, abs=1e-4)
+    np.testing.assert_allclose(one.expected(points, np.zeros((60, 3, 3)))[0], rows["length"], atol=1e-4)
 
 
 def test_a_setting_that_a_wire_does_not_have_is_refused(tmp_path):

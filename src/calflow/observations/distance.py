@@ -38,6 +38,8 @@ class Distance(OfThings):
     Settings: anchor (3,) [m] in the measuring frame, anchor_known (false: approximate), offset [m], scale [m/m].
     """
 
+    found: float = 0.0  # m: the zero estimated at registration, where it is not stated
+
     id = "distance"
     title = "length of a wire or a bar"
     columns = Reported({"length": "length"})
@@ -64,6 +66,11 @@ class Distance(OfThings):
         return self.nominal[0][:3]
 
     @property
+    def _zero(self) -> float:
+        """The length reported at the anchor [m], nominally."""
+        return self.series.number("offset") or self.found
+
+    @property
     def _open(self) -> tuple[str, ...]:
         """The figures to be fitted, among anchor, offset and scale."""
         rough = self.series.setting("anchor_known", True) is False
@@ -77,7 +84,7 @@ class Distance(OfThings):
                 ("anchor", axis, "m", UNKNOWN_SD, UNKNOWN_BOUND, self.anchor[k], f"anchor of {self.part}, {axis}")
                 for k, axis in enumerate("xyz")
             ),
-            ("offset", "offset", "m", OFFSET_SD, OFFSET_BOUND, 0.0, f"zero of {self.part}"),
+            ("offset", "offset", "m", OFFSET_SD, OFFSET_BOUND, self.found, f"zero of {self.part}"),
             ("scale", "scale", "1", SCALE_SD, SCALE_BOUND, 0.0, f"scale of {self.part}"),
         ]
         return tuple(
@@ -101,32 +108,36 @@ class Distance(OfThings):
         anchor = ca.SX(ca.DM(self.anchor))
         if "anchor" in self._open:
             anchor, at = anchor + p[:3], 3
-        offset, scale = (ca.SX(self.series.number(name) or 0.0) for name in ("offset", "scale"))
+        offset, scale = ca.SX(self._zero), ca.SX(self.series.number("scale") or 0.0)
         if "offset" in self._open:
-            offset, at = p[at], at + 1
+            offset, at = offset + p[at], at + 1
         if "scale" in self._open:
             scale = p[at]
         return (1 + scale) * ca.norm_2(seen.device(seen.point) - anchor) + offset - y
 
     def registered(self, points: np.ndarray, rotations: np.ndarray, table: pd.DataFrame) -> Self:
-        """Return the observation with the anchor located by trilateration from the nominal robot's points."""
-        if "anchor" not in self._open:
-            return self
-        length = table["length"].to_numpy(float) - (self.series.number("offset") or 0.0)
+        """Return the observation with unknown anchor and zero located by trilateration from the nominal robot's points."""
+        length, stated = table["length"].to_numpy(float), np.array([*self.anchor, self._zero])
         # |point|² - 2 point·anchor + |anchor|² = length² is linear in the anchor and |anchor|².
         system = np.column_stack([-2 * points, np.ones(len(points))])
-        begin = np.linalg.lstsq(system, length**2 - (points**2).sum(axis=1), rcond=None)[0][:3]
+        begin = np.linalg.lstsq(system, (length - self._zero) ** 2 - (points**2).sum(axis=1), rcond=None)[0][:3]
+        free = np.repeat([name in self._open for name in ("anchor", "offset")], [3, 1])
+        if not free.any():
+            return self
 
-        def miss(x: np.ndarray) -> np.ndarray:
-            return (np.linalg.norm(points - x[:3], axis=1) + x[3] - length) / ROUGH
+        def placed(x: np.ndarray) -> np.ndarray:
+            whole = stated.copy()
+            whole[free] = x
+            return whole
 
         def weighed(x: np.ndarray) -> np.ndarray:
-            return np.append(miss(x), x[3] / OFFSET_SD)
+            *anchor, zero = placed(x)
+            return np.append((np.linalg.norm(points - anchor, axis=1) + zero - length) / ROUGH, zero / OFFSET_SD)
 
-        fitted = scipy.optimize.least_squares(weighed, np.append(begin, 0.0), loss="soft_l1").x
-        return replace(self, nominal=(six(fitted[:3]),))
+        *anchor, zero = placed(scipy.optimize.least_squares(weighed, np.append(begin, 0.0)[free], loss="soft_l1").x)
+        return replace(self, nominal=(six(anchor),), found=float(zero) if free[3] else 0.0)
 
     def expected(self, points: np.ndarray, rotations: np.ndarray) -> np.ndarray:
         """Return the lengths."""
-        scale, offset = (self.series.number(name) or 0.0 for name in ("scale", "offset"))
-        return ((1 + scale) * np.linalg.norm(points - np.array(self.anchor), axis=1) + offset)[None]
+        scale = self.series.number("scale") or 0.0
+        return ((1 + scale) * np.linalg.norm(points - np.array(self.anchor), axis=1) + self._zero)[None]
