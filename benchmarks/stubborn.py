@@ -4,7 +4,8 @@
 
 A seven-axis arm of foreign_physics.py, three markers and three loads. Three of its joints err by a smooth function of three angles
 each, together by 5 noises at the tool, which no catalogue has. Counted are the models with causes that are fitted, and those of
-causes that were fitted together before. Linear algebra has one thread, as in the program: waiting ones count as work.
+causes that were fitted together before, with the same noise. Linear algebra has one thread, as in the program: waiting ones count
+as work.
 """
 
 from __future__ import annotations
@@ -26,6 +27,8 @@ from foreign_study import identified, write_study
 
 from calflow.diagnosis import fitted
 from calflow.effects.cause import Cause
+from calflow.estimation.noise import Noise
+from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 
 ARM, SIGMA, NOISES, ERRING = "arm-7", 2e-5, 5.0, (1, 3, 4)
@@ -74,10 +77,10 @@ def counted() -> Counter[object]:
     fits: Counter[object] = Counter()
     settled = fitted._settled
 
-    def counting(model: Model, *further):  # type: ignore[no-untyped-def]
+    def counting(model: Model, data: Measurements, device: Noise, *further):  # type: ignore[no-untyped-def]
         if causes := frozenset(effect for effect in model.effects if isinstance(effect, Cause)):
-            fits[causes] += 1
-        return settled(model, *further)
+            fits[causes, device.sigma.tobytes()] += 1
+        return settled(model, data, device, *further)
 
     fitted._settled = counting
     return fits
