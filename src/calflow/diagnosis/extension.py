@@ -126,12 +126,16 @@ class FittedTrial(Trial[Cause]):
         near = {rival: score for rival, score in near.items() if rival.place != cause.place}
         if not near:
             return finding
-        apart = fitted.regressors([*near]).without(*fitted.own(cause))
-        moving = apart.moving(fitted.regressors([*near], still=cause).matrix)
+        apart, still = (
+            linear.apart([cause]).regressors
+            for linear in (self.linearisation, Linearisation.at(fitted, self.catalogue, cause))
+        )
+        apart = apart.only(candidate for candidate in apart.candidates if candidate.cause in near)
+        still = still.only(candidate for candidate in still.candidates if candidate.cause in near)
         beside = {score.cause: score.cost for score in Screening(apart).scores}
         in_place = [
             replace(score, cost=near[score.cause].cost + score.cost - beside[score.cause])
-            for score in Screening(moving).scores
+            for score in Screening(apart.moving(still.matrix)).scores
             if score.cause in beside
         ]
         others = [score for score in finding.scores if score.cause not in near]

@@ -78,10 +78,13 @@ class Linearisation(Generic[H]):
     columns: tuple[np.ndarray, ...]
 
     @staticmethod
-    def at(fitted: Fitted, catalogue: Catalogue) -> Linearisation[Cause]:
-        """Return a fitted model linearised; its causes are among the candidates, for tests without them."""
+    def at(fitted: Fitted, catalogue: Catalogue, still: Cause | None = None) -> Linearisation[Cause]:
+        """Return a fitted model linearised; its causes are among the candidates, for tests without them.
+
+        still is one of its causes that is set to zero.
+        """
         added = (cause for cause in fitted.causes if cause.effect not in catalogue.effects)
-        regressors = fitted.regressors((*catalogue.effects, *added))
+        regressors = fitted.regressors((*catalogue.effects, *added), still)
         columns = tuple(fitted.own(cause)[0] for cause in fitted.causes)
         return Linearisation(fitted.causes, regressors, fitted.fit.estimate[~fitted.fit.at_bound], columns)
 
