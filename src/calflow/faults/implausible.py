@@ -6,17 +6,23 @@ Units and loop are checked as rows are read; the others after corrections.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from calflow.estimation.accuracy import distances, leading_errors
+from calflow.estimation.registration import registered
 from calflow.faults.base import lines_in_words
+from calflow.faults.mistake import LENGTH_UNITS
 from calflow.faults.setup import Setup
 from calflow.files.problems import Problem, refuse_any
+from calflow.files.units import METRE
 from calflow.files.words import rounded
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import at_rows
 from calflow.model import build
+from calflow.observations import observations
 
 # In m, and as a share of the reach: largest deviation of a robot from its maker's dimensions.
 IMPLAUSIBLE_ERROR, IMPLAUSIBLE_SHARE = 0.1, 0.1
@@ -112,7 +118,7 @@ def one_position(position: np.ndarray) -> str:
 
 
 def nominal_misfit(setup: Setup) -> str:
-    """Return in words the misfit of the nominal robot, with base and tool fitted; empty if it is plausible.
+    """Return in words the misfit of the nominal robot to positions, with base and tool fitted; empty if it is plausible.
 
     Half of all rows must deviate more than any robot can, so that single rows do not decide.
     """
@@ -129,6 +135,53 @@ def nominal_misfit(setup: Setup) -> str:
         "lengths, the order and signs of the joints, their zeros (theta), the convention (dh or modified-dh), the "
         "order of the rows, and that x, y, z are a right-handed frame"
     )
+
+
+def misplaced_lengths(data: Measurements, which: np.ndarray) -> Iterator[tuple[int, str]]:
+    """Yield each series, among some rows (n_rows,), of which the nominal robot misses half by more than any robot, and why.
+
+    What is touched is placed by its rows. The words name the unit in which lengths would fit, if there is one.
+    """
+    far = _median_errors(data)
+    points = build(data.robot, (), data.given).point(np.zeros(0), data.conditions) - np.array(data.robot.base.origin)
+    limit = min(IMPLAUSIBLE_ERROR, IMPLAUSIBLE_SHARE * float(np.nanmax(np.linalg.norm(points, axis=1))))
+    for k in np.unique(data.series_number[which]):
+        if far[k] > limit:
+            name = data.series[k].name or data.series[k].kind
+            unit = _other_unit(data, k, SHAPE_RIGHT * far[k])
+            missed = (
+                f"the nominal robot misses half of '{name}' by {1e3 * far[k]:,.0f} mm or more, with what is touched placed by "
+                f"its rows, which no calibration can correct (at most {rounded(1e3 * limit)} mm): check the units, the links' "
+                "lengths, the order and signs of the joints, their zeros (theta) and the convention (dh or modified-dh)"
+            )
+            yield (
+                k,
+                f"the lengths of '{name}' are in {unit}: the nominal robot fits them far better then"
+                if unit
+                else missed,
+            )
+
+
+def _other_unit(data: Measurements, k: int, limit: float) -> str:
+    """Return in words the unit in which the lengths of a series are, if its median error is below a limit [m] then."""
+    if "length" not in data.table:
+        return ""
+    lengths, here = data.table["length"], data.of_series(k)
+    for factor, words in LENGTH_UNITS.items():
+        table = data.table.assign(length=lengths.where(~here, factor * lengths))
+        if _median_errors(replace(data, table=table))[k] < limit:
+            return words
+    return ""
+
+
+def _median_errors(data: Measurements) -> np.ndarray:
+    """Return the nominal robot's median error of each series [m], (n_series,); nan where it reports no lengths, or few."""
+    train = data.only(data.train)
+    robot, observed = registered(data.robot, observations(train), train)
+    nominal = build(robot, (), data.given, observed)
+    error = distances(leading_errors(nominal, nominal.nominal, train.on(robot)))
+    each = [error[train.of_series(k)] if one.units[0] == METRE else error[:0] for k, one in enumerate(observed)]
+    return np.array([np.median(errors) if len(errors) >= MIN_POSES else np.nan for errors in each])
 
 
 def past_limits(data: Measurements) -> Iterator[tuple[np.ndarray, str]]:

@@ -32,6 +32,12 @@ TYPO = 0.01  # m: tolerance between an estimate and the value without a typing e
 MOST_ROTATION = 2.5  # rad: beyond it the axis of a relative rotation is ambiguous
 
 Undo = Callable[[Setup], Setup]
+LENGTH_UNITS = {
+    INCH: "inches instead of mm",
+    1 / INCH: "mm instead of inches",
+    1e3: "m instead of mm",
+    1e-3: "mm instead of m",
+}
 IDENTITY = np.eye(3)
 REFLECTIONS = {  # of the axes, by the corrected quantity
     "x": np.diag([-1.0, 1.0, 1.0]),
@@ -265,9 +271,7 @@ def _names(data: Measurements, label: str) -> Iterator[Mistake]:
 
 
 def _table_units(data: Measurements) -> Iterator[Mistake]:
-    for factor, words in (
-        (INCH, "inches instead of mm"), (1 / INCH, "mm instead of inches"), (1e3, "m instead of mm"), (1e-3, "mm instead of m")
-    ):  # fmt: skip
+    for factor, words in LENGTH_UNITS.items():
         yield Mistake(
             "unit-mistake", 0, _linear(factor * IDENTITY), f"x, y, z are in {words}", where=MEASUREMENT_FILE,
             remedy="correct their unit", in_rows=(Correction(0, POSITION, float(f"{factor:.10g}")),),

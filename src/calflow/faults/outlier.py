@@ -1,8 +1,9 @@
 """Outliers: rows with gross errors of unknown reason.
 
 Positions are judged by the robust fit of their set-up. Other rows (lengths, contacts, further stations, images) are
-judged by a robust fit of the geometry, and images whose points are numbered from another corner are named. Odd rows are
-outliers against the final model, by a limit that follows from the tail of the other residuals.
+judged by a robust fit of the geometry: lengths in another unit are corrected, and images whose points are numbered from
+another corner are named. Odd rows are outliers against the final model, by a limit that follows from the tail of the
+other residuals.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.leverage import Studentised
 from calflow.estimation.noise import measured_noise, median_length
 from calflow.estimation.registration import in_measuring_frame, registered
-from calflow.faults.base import Fault, faulty_rows
+from calflow.faults.base import Correction, Fault, fault, faulty_rows
+from calflow.faults.mistake import LENGTH_UNITS
 from calflow.faults.reference import EQUATIONS, Reference
 from calflow.faults.rough import GROSS, LEAST_GROSS, RobustFit
 from calflow.files.units import METRE, MeasurementUnit
@@ -129,6 +131,10 @@ def gross_rows(data: Measurements, which: np.ndarray) -> tuple[Fault, ...]:
     if LeastSquares.of(model, train, noise).size < EQUATIONS * len(model.parameters):
         return ()
     fit = fit_reweighted(model, train, noise, model.prior_mean[None], "cauchy")[0]
+
+    def missed(by: Measurements) -> np.ndarray:
+        return distances(leading_errors(model, fit.estimate, by))
+
     miss = leading_errors(model, fit.estimate, here)
     faults: list[Fault] = []
     far = distances(miss)
@@ -137,18 +143,39 @@ def gross_rows(data: Measurements, which: np.ndarray) -> tuple[Fault, ...]:
         unit = observed[int(k)].units[0]
         scale = float(np.median(far[rows]) / median_length(int((~np.isnan(miss[rows][0])).sum())))
         least = LEAST_GROSS * unit.usual / METRE.usual
-        gross = rows & (far > limit_of(far[rows], scale, max(GROSS * scale, least)))
+        limit = limit_of(far[rows], scale, max(GROSS * scale, least))
+        gross = rows & (far > limit)
+        of_series = f" of measurements {data.series[k].name or k + 1}" if len(data.series) > 1 else ""
+        explained = _in_other_units(here, gross, limit, of_series, missed)
         if gross.any() and gross.sum() <= MAX_OUTLIER_SHARE * rows.sum():
-            flipped = _flipped_images(
-                here, gross, far, lambda other: distances(leading_errors(model, fit.estimate, other))
-            )
-            faults += flipped
-            gross[[correction.row - 1 for fault in flipped for correction in fault.corrections]] = False
+            explained += _flipped_images(here, gross, far, missed)
+        faults += explained
+        gross[[correction.row - 1 for fault in explained for correction in fault.corrections]] = False
         if gross.any() and gross.sum() <= MAX_OUTLIER_SHARE * rows.sum():
-            of_series = f" of measurements {data.series[k].name or k + 1}" if len(data.series) > 1 else ""
             what = f"what was measured in LINES{of_series}"
             faults.append(_excluded(data, gross, what, far[gross], float(np.median(far[rows & ~gross])), unit))
     return tuple(faults)
+
+
+def _in_other_units(
+    data: Measurements, gross: np.ndarray, limit: float, of_series: str, miss: Callable[[Measurements], np.ndarray]
+) -> tuple[Fault, ...]:
+    """Return a fault for each unit in which lengths with gross errors (n_rows,) agree with the others.
+
+    limit: the greatest error [m] of the others; miss: returns the errors of other data. A row that two units would mend is
+    left alone.
+    """
+    rows = np.flatnonzero(gross)
+    if "length" not in data.table or not len(rows):
+        return ()
+    read = [replace(data, table=data.table.assign(length=factor * data.table["length"])) for factor in LENGTH_UNITS]
+    mended = np.stack([miss(other)[rows] < limit for other in read])
+    mended &= mended.sum(axis=0) == 1
+    return tuple(
+        fault("unit-mistake", data, 0, [Correction(int(row) + 1, "length", float(f"{factor:.10g}")) for row in rows[some]],
+              "corrected", f"lengths are in {words} in LINES{of_series}; corrected for this run only; correct the file, too")
+        for (factor, words), some in zip(LENGTH_UNITS.items(), mended, strict=True) if some.any()
+    )  # fmt: skip
 
 
 def _flipped_images(

@@ -1,0 +1,57 @@
+"""A wire's lengths in another unit than their column says."""
+
+from __future__ import annotations
+
+import runpy
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import calflow as cf
+from calflow.faults import examined
+from calflow.files.problems import InputError
+
+FIRST_STEPS = Path(__file__).parents[2] / "studies" / "first-steps"
+ARM = runpy.run_path(str(FIRST_STEPS / "measured.py"))  # an arm by NumPy and SciPy alone
+ANCHORS = ([1.9, 0.3, -0.2], [-0.9, 0.8, 0.9])
+STUDY = (
+    (FIRST_STEPS / "wire.toml")
+    .read_text()
+    .split("[[measurements]]")[0]
+    .replace("arm.toml", str(FIRST_STEPS / "arm.toml"))
+)
+
+
+def wires(folder: Path, inches: slice, of: int) -> cf.Study:
+    """A study of two wires with unknown anchors, some lengths of one of which are in inches."""
+    rng, text = np.random.default_rng(7), STUDY
+    for k, anchor in enumerate(ANCHORS):
+        q = rng.uniform(ARM["LOW"], ARM["HIGH"], (80, 6))
+        length = 1e3 * (np.linalg.norm(ARM["ball"](q) - anchor, axis=1) + rng.normal(0, 5e-5, 80))
+        length[inches if k == of else slice(0)] /= 25.4
+        header = ",".join([*(f"q{i}_deg" for i in range(1, 7)), "length_mm"])
+        np.savetxt(
+            folder / f"{k}.csv", np.column_stack([np.degrees(q), length]), "%.5f", ",", header=header, comments=""
+        )
+        text += f'[[measurements]]\nkind = "distance"\nname = "wire {k}"\nfile = "{k}.csv"\nsigma_mm = 0.05\n'
+        text += "[measurements.settings]\noffset_mm = 0\nscale_um_per_m = 0\n"
+    (folder / "study.toml").write_text(text + "[split]\nholdout = 0.3\n")
+    return cf.load_study(folder / "study.toml")
+
+
+def test_lengths_in_inches_are_read_so(tmp_path):
+    """Fails if some rows in inches are taken for single outliers, or more are corrected than these."""
+    data, (fault,) = examined(wires(tmp_path, slice(20, 50), 1).measurements())
+    assert (fault.cause, fault.action) == ("unit-mistake", "corrected")
+    assert fault.statement.startswith("lengths are in inches instead of mm in lines 22 to 51 of measurements wire 1")
+    assert data.table["length"].min() > 0.1
+
+
+@pytest.mark.parametrize("of", [0, 1])
+def test_a_wire_in_inches_is_refused(tmp_path, of):
+    """Fails if a whole wire that the nominal robot misses by decimetres is calibrated with, or the other wire is blamed."""
+    with pytest.raises(InputError) as refused:
+        examined(wires(tmp_path, slice(None), of).measurements())
+    assert f"'wire {of}' are in inches instead of mm" in str(refused.value)
+    assert f"'wire {1 - of}'" not in str(refused.value)
