@@ -79,6 +79,20 @@ def test_readings_that_differ_still_lay_the_plane():
     np.testing.assert_allclose(error(one, np.zeros(3), points, rows), 0, atol=1e-9)
 
 
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_readings_count_from_either_side(side):
+    """Fails if heights over a table above the robot's foot are read as depths, or a point of another plane tilts it."""
+    rng = np.random.default_rng(9)
+    turn, _ = frame(PLACE)
+    reading = rng.uniform(0, 2e-3, 40)
+    points = on_plane(rng, 40) + side * reading[:, None] * turn[:, 2] + 3e-4 * rng.normal(size=(40, 3))
+    points[7] += 0.2 * turn[:, 2]
+    rows = pd.DataFrame({"reading": reading})
+    one = Plane.of(Series(), rows).registered(points, np.zeros((40, 3, 3)), rows)
+    left = np.delete(error(one, np.zeros(3), points, rows)[:, 0], 7)
+    assert np.sqrt(np.mean(left**2)) < 4e-4
+
+
 def test_a_new_plane_is_lacking_until_it_is_added():
     """Fails if an unknown plane goes unseen, or adding it moves the one that is known."""
     rng = np.random.default_rng(5)

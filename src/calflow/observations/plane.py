@@ -19,7 +19,10 @@ from calflow.observations.touched import Surface
 from calflow.robot.frames import angles
 from calflow.robot.parts import Parameter
 
-LAID = 10  # iterations of foot points and normal, which converge fast since heights are small against the plane
+LAID = (
+    20  # iterations of foot points, normal and weights, which converge fast since heights are small against the plane
+)
+NEAR = 1e-4  # m: points closer to the plane than this have equal weights
 
 
 class PlaneSettings(FileModel):
@@ -40,7 +43,7 @@ class PlaneSettings(FileModel):
 class Plane(Surface):
     """Height of the marker over a plane = reading (0 where none is reported); one plane per name in the column `plane`.
 
-    A plane's normal is the z axis of its frame, towards the robot's base.
+    A plane's normal is the z axis of its frame: towards the side from which the readings count, or the robot's base without any.
     Settings: point (3,) [m] and normal (3,), approximate, for planning poses.
     """
 
@@ -90,11 +93,26 @@ class Plane(Surface):
 
 
 def _fitted_plane(points: np.ndarray, reading: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return a plane's centre and its normal towards the base, from points (n, 3) at heights (n,) over it."""
-    feet = points
+    """Return a plane's centre and its normal, from points (n, 3) at heights (n,) over it.
+
+    The normal is towards the side on which the readings agree with the points; the base's, where that makes no difference.
+    """
+    (centre, normal, error), (other_centre, other, other_error) = (
+        _laid(points, side * reading) for side in (1.0, -1.0)
+    )
+    return (centre, normal) if error <= other_error else (other_centre, -other)
+
+
+def _laid(points: np.ndarray, reading: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return a plane's centre, its normal towards the base, and the mean error of heights (n,), whose least the plane has.
+
+    Least absolute deviations, by reweighted least squares: a point of another plane moves it little.
+    """
+    feet, weight = points, np.ones(len(points))
     for _ in range(LAID):
-        centre = feet.mean(axis=0)
-        normal = np.linalg.svd(feet - centre)[2][2]
+        centre = np.average(feet, axis=0, weights=weight)
+        normal = np.linalg.svd(np.sqrt(weight)[:, None] * (feet - centre))[2][2]
         normal = normal if normal @ centre <= 0 else -normal
-        feet = points - reading[:, None] * normal
-    return feet.mean(axis=0), normal
+        error = np.abs((points - centre) @ normal - reading)
+        feet, weight = points - reading[:, None] * normal, 1 / np.maximum(error, NEAR)
+    return np.average(feet, axis=0, weights=weight), normal, float(error.mean())
