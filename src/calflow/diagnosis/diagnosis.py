@@ -86,14 +86,15 @@ class Diagnosis:
         """Upper 95 % confidence limit of the error at new poses [m]; nan where it is unknown.
 
         A cause in whose place an unnamed error acts with a probability of more than 5 % is not relied on: the limit is no less than
-        that of the model without it.
+        that of the model without it. Nor does the noise tell how large errors are where another model is as probable.
         """
         final = self.final or self.extended.fitted
         doubted = [
             other.gone for other in self.alternatives if other.gone and not other.rival and other.probability > UNSURE
         ]
         without = [final.with_causes([cause for cause in final.causes if cause != gone]) for gone in doubted]
-        return max(fitted.left_out.upper_limit for fitted in (final, *without))
+        sure = final.noise.known and sum(other.probability for other in self.alternatives) <= UNSURE
+        return max(fitted.left_out.upper_limit(sure) for fitted in (final, *without))
 
     @property
     def n_deployed(self) -> int:

@@ -84,7 +84,9 @@ class FittedEffects:
         points = fit.model.point(fit.estimate, used.conditions)
         return IdentifySummary(
             sigma_mm=1e3 * noise.typical(METRE) if METRE in noise.leading else None,
-            **fit_figures(fit, noise, self.lack, self.left_out.at_new_poses, self.left_out.upper_limit, self.errors),
+            **fit_figures(
+                fit, noise, self.lack, self.left_out.at_new_poses, self.left_out.upper_limit(noise.known), self.errors
+            ),
             intraclass=noise.intraclass,
             spread_mm=1e3 * float(np.linalg.norm(points - points.mean(axis=0), axis=1).mean()),
             rank=identifiability.rank,

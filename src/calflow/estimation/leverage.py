@@ -29,6 +29,8 @@ TINY = 1e-12  # standard deviations: smaller errors are rounding
 LEAST_LEFT = 1e-3  # lower limit of a residual's variance, as a share of the row's variance
 UNSURE = 0.05  # probability that the error at new poses exceeds its upper limit
 BY_CHANCE = 0.05  # p-value of the leave-one-out errors of a complete model, above which they show no excess
+KNOWN = 1e9  # degrees of freedom of a size that is known
+ROUNDING = 1e-9  # relative
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,6 +123,7 @@ class LeftOut:
     sum_of_squares: float
     expected: float
     number: int
+    directions: float
     degrees_of_freedom: float
     share: float
     scatter: float
@@ -143,15 +146,15 @@ class LeftOut:
         squared = self.scatter**2 * max(self.sum_of_squares, self.expected) / self.number
         return float(np.sqrt(3 * max(squared - self.device**2, 0.0)))
 
-    @property
-    def upper_limit(self) -> float:
-        """Upper 95 % confidence limit of at_new_poses [m]; nan without any.
+    def upper_limit(self, noise_tells: bool) -> float:
+        """Return the upper 95 % confidence limit of the error at new poses [m]; nan without any.
 
-        Its square is distributed as a mean of squares with one term per pose, as the points of a pose share the model's error.
+        Its square over that of at_new_poses has an F distribution: the parameters' errors add up over a few directions, and their
+        size is as uncertain as the residuals leave it. If noise_tells, a known noise determines it where there is no discrepancy.
         """
-        return self.at_new_poses * float(
-            np.sqrt(self.degrees_of_freedom / scipy.special.chdtri(self.degrees_of_freedom or 1.0, 1 - UNSURE))
-        )
+        known = noise_tells and self.scatter <= self.device * (1 + ROUNDING)
+        freedom = KNOWN if known else self.degrees_of_freedom
+        return self.at_new_poses * float(np.sqrt(scipy.special.fdtri(self.directions, freedom, 1 - UNSURE)))
 
     def excess(self, level: np.ndarray | float = 1.0) -> np.ndarray:
         """Return the model's excess error, standard deviation per axis, with the squares scaled by level; at least 0."""
@@ -187,20 +190,27 @@ def left_out(fit: Fit, pose: np.ndarray, unit: MeasurementUnit = METRE) -> LeftO
         pose: number of each row's pose, (n_rows,): rows of one pose are left out together.
         unit: that of the residuals that are taken into account.
     """
-    squares, covered, sizes = np.concatenate([*_by_pose(fit, pose, unit), np.zeros((3, 0))], axis=1)
-    number = int(sizes.sum())
+    parts = list(_by_pose(fit, pose, unit))
+    squares, covered, sizes = np.concatenate([*(figures for figures, _ in parts), np.zeros((3, 0))], axis=1)
+    number, problem = int(sizes.sum()), fit.problem
     share = float(np.median(covered / sizes)) if number else 0.0
     freedom = max(1.0, number - fit.effective_parameters)
     # Summed pose by pose, so that the partition of rows does not affect the last digit.
     total, expected = float(sum(squares)), float(sum(covered))
-    # Effective degrees of freedom (Satterthwaite 1946): poses of high leverage dominate the mean.
-    independent = expected**2 / float(sum(covered**2)) if number else 0.0
-    problem = fit.problem
-    return LeftOut(total, expected, number, independent, share, problem.scatter(unit), problem.device(unit), freedom)
+    # All rows of a pose share the model's error, poses of high leverage dominate the mean (Satterthwaite 1946), and the parameters
+    # have absorbed a share.
+    of_size = max(1.0, expected**2 / float(sum(covered**2)) * freedom / number) if number else 1.0
+    along = fit.covariance @ sum((gram for _, gram in parts), np.zeros_like(fit.covariance))
+    directions = np.trace(along) ** 2 / np.trace(along @ along) if number else 1.0
+    scatter, device = problem.scatter(unit), problem.device(unit)
+    return LeftOut(total, expected, number, float(directions), of_size, share, scatter, device, freedom)
 
 
-def _by_pose(fit: Fit, pose: np.ndarray, unit: MeasurementUnit) -> Iterator[np.ndarray]:
-    """Yield (3, n_poses), for poses of equal size: squared whitened leave-one-out error, its expectation, number of residuals."""
+def _by_pose(fit: Fit, pose: np.ndarray, unit: MeasurementUnit) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield, for poses of equal size, figures (3, n_poses) and the sum over poses of JᵀJ with the slopes J of left-out errors.
+
+    The figures are the squared whitened leave-one-out error, its expectation, and the number of residuals.
+    """
     for block in fit.problem.reweighted(fit.estimate, fit.loss).blocks:
         judged = np.array([other == unit for other in block.observation.units])
         if not judged.any():
@@ -219,7 +229,9 @@ def _by_pose(fit: Fit, pose: np.ndarray, unit: MeasurementUnit) -> Iterator[np.n
                 weighed = np.linalg.solve(spread - slopes @ fit.covariance @ slopes.transpose(0, 2, 1), spread)
                 missed = np.einsum("nji,nj->ni", weighed, error)
                 expected = np.einsum("nij,nij->n", spread, weighed)
-                yield np.array([np.vecdot(missed, missed), expected, np.full(n_poses, float(size))])
+                slopes = (weighed.transpose(0, 2, 1) @ slopes).reshape(n_poses * size, -1)
+                figures = np.array([np.vecdot(missed, missed), expected, np.full(n_poses, float(size))])
+                yield figures, slopes.T @ slopes
 
 
 def halved(places: np.ndarray, levels: int) -> np.ndarray:

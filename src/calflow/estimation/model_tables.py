@@ -151,8 +151,7 @@ class FitSummary:
         default=None,
     )
     new_poses_limit_mm: float | None = column(
-        "its upper 95 % confidence limit, whose square is distributed as a mean of squares, one per training pose; null: no "
-        "lengths were measured",
+        "its upper 95 % confidence limit, by an F distribution of its square; null: no lengths were measured",
         "mm",
         default=None,
     )
