@@ -342,13 +342,15 @@ def weighed(
     ends where it would start from the same causes again.
     """
     begin, found = FittedTrial(extension.first, start, catalogue), extension.fitted
-    searched, offered = set[frozenset[Cause]](), set[frozenset[Cause]]()
+    searched, judged = set[frozenset[Cause]](), set[frozenset[Cause]]()
     while True:
         now = beside_background(found, basis)
         while weakest := _weakest(now, basis, catalogue.variants):
             search.say(f"{words(weakest)} gives way to an unexplained error")
+            judged.add(frozenset(now.causes))
             now = now.with_causes([cause for cause in now.causes if cause != weakest])
         held = frozenset(now.causes)
+        judged.add(held)
         if len(held) < len(found.causes):
             now = beside_background(now, basis)
         left = background(now, basis)
@@ -356,9 +358,8 @@ def weighed(
         if held in searched:
             ended = extended(beside, [beside])
             break
-        # Once: where that gives way again, the search goes on beside the background.
-        if held not in offered and (instead := _named_instead(beside, basis, search)):
-            offered.add(held)
+        # Where that has given way before, the search goes on beside the background.
+        if (instead := _named_instead(beside, basis, search)) and held | {instead} not in judged:
             search.say(f"{words(instead)} in the place of an unexplained error")
             found = now.with_causes([*now.causes, instead])
             continue
@@ -371,11 +372,11 @@ def weighed(
         if frozenset(found.causes) == held:
             break
     against, carries = unnamed(ended.fitted, basis, catalogue.variants), carrying(ended.fitted, basis)
-    judged = (
+    findings = (
         replace(finding, unnamed=against[finding.cause], carries_over=finding.cause in carries)
         for finding in ended.findings
     )
-    return Extended(ended.fitted, tuple(judged), extension.first)
+    return Extended(ended.fitted, tuple(findings), extension.first)
 
 
 def _named_instead(trial: FittedTrial, basis: BackgroundBasis, search: Stepwise) -> Cause | None:
