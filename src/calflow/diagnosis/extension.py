@@ -126,10 +126,9 @@ class FittedTrial(Trial[Cause]):
         near = {rival: score for rival, score in near.items() if rival.place != cause.place}
         if not near:
             return finding
-        apart, still = (
-            linear.apart([cause]).regressors
-            for linear in (self.linearisation, Linearisation.at(fitted, self.catalogue, cause))
-        )
+        apart = self.linearisation.apart([cause]).regressors
+        # Not apart: at zero, an amplitude may be at its bound, which has no column.
+        still = Linearisation.at(fitted, self.catalogue, cause).regressors
         apart = apart.only(candidate for candidate in apart.candidates if candidate.cause in near)
         still = still.only(candidate for candidate in still.candidates if candidate.cause in near)
         beside = {score.cause: score.cost for score in Screening(apart).scores}
