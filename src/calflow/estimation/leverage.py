@@ -115,7 +115,8 @@ def judged_table(result: Fit, data: Measurements, studentised: Studentised, flag
 class LeftOut:
     """Leave-one-pose-out errors, whitened: the sum of their squares, its expectation, and the number of errors.
 
-    degrees_of_freedom: those of their mean square; share: median over poses of the expected squared error; scatter [m, or another
+    directions: effective number of those along which the parameters' errors add to them; degrees_of_freedom: those by which their
+    size is known from the residuals; share: median over poses of the expected squared error; scatter [m, or another
     unit]: standard deviation per axis about the model; device: the device's part of it; residual_freedom: degrees of freedom of
     the residuals.
     """

@@ -19,9 +19,7 @@ from calflow.observations.touched import Surface
 from calflow.robot.frames import angles
 from calflow.robot.parts import Parameter
 
-LAID = (
-    20  # iterations of foot points, normal and weights, which converge fast since heights are small against the plane
-)
+LAID = 20  # iterations of foot points, normal and weights, which converge fast: heights are small against the plane
 NEAR = 1e-4  # m: points closer to the plane than this have equal weights
 
 
