@@ -5,11 +5,7 @@ constant) is refined between its neighbours in the scan.
 
 The search first takes errors as independent, then as correlated by a background (see `background`). A cause has to explain the
 data better than the background that would replace it, to be significant beside it over its whole family, and to carry over to
-left-out blocks of training poses.
-
-Blocks of neighbouring poses, in joint space or in time, are left out in turn and predicted from the others (block
-cross-validation, Roberts et al. 2017): a cause that stands for something else fits only the rows on which it was found. Linear,
-from one Jacobian, without a refit.
+left-out blocks of training poses (see `cross_validation`).
 """
 
 from __future__ import annotations
@@ -21,9 +17,9 @@ from itertools import chain
 from typing import cast
 
 import numpy as np
-import scipy
 
 from calflow.diagnosis.background import JOINTS, BackgroundBasis, Sizes, background, beside_background, uneven_causes
+from calflow.diagnosis.cross_validation import carrying
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.form_error import with_form_errors
 from calflow.diagnosis.regressors import Place
@@ -32,14 +28,10 @@ from calflow.diagnosis.stepwise import REACH, SPLIT, CauseAcceptance, Stepwise, 
 from calflow.diagnosis.trial import FINER_STEPS, Detection, Linearisation, Screened, Trial, is_new
 from calflow.effects.cause import Cause
 from calflow.estimation.fit import Fit
-from calflow.estimation.leverage import halved
 from calflow.estimation.progress import Advance, nobody
 from calflow.estimation.variance_components import refitted_cost, spent
 
 CLEARLY_FINER = 2.0  # least decrease of cost of a variant against its neighbour for another fit
-HALVINGS = 3  # which make eight blocks of each kind
-FEWEST_POSES = 2  # poses of a block
-WORSE = 0.01  # one-sided significance at which a cause increases the errors of left-out blocks
 THOUGHTS = 3  # rivals that may take a cause's place one after another
 
 
@@ -207,93 +199,6 @@ def weighed_against(extension: Extended, catalogue: Catalogue) -> Extended:
     wider = verified(FittedTrial(extension.first, extension.fitted, catalogue), ())
     scores = {finding.cause: finding.scores for finding in wider}
     return replace(extension, findings=tuple(replace(f, scores=scores[f.cause]) for f in extension.findings))
-
-
-@dataclass(frozen=True)
-class CarriedOver:
-    """The gain of a cause at left-out blocks of training poses.
-
-    gain: reduction of chi², summed over the blocks of each kind; p: one-sided p-value that the largest errors of blocks grow with
-    the cause, by the mean of the log ratios of those without it to those with it.
-    """
-
-    gain: tuple[float, ...]
-    p: float
-
-    @property
-    def holds(self) -> bool:
-        """Whether the cause carries over."""
-        return max(self.gain) > 0 and self.p > WORSE
-
-
-def pose_blocks(fitted: Fitted) -> list[np.ndarray]:
-    """Return the residuals' blocks of poses, near in joint space and, if the order is known, in time; (n,) each."""
-    data = fitted.data
-    first, number = np.unique(fitted.poses, return_index=True, return_inverse=True)[1:]
-    levels = min(HALVINGS, int(np.log2(max(len(first) // FEWEST_POSES, 1))))
-    angles = data.joints[first]
-    kinds = [halved(angles / np.maximum(angles.std(axis=0), 1e-9), levels)[number]]
-    if "order" in data.given:
-        rank = np.argsort(np.argsort(data.table["order"].to_numpy(float)[first]))
-        kinds.append((rank * 2**levels // len(first))[number])
-    return [kind[fitted.problem.row] for kind in kinds]
-
-
-@dataclass(frozen=True, eq=False)
-class LeftOutBlock:
-    """A block of residuals (by index), predicted by a model fitted to the others.
-
-    factor: of I - H, with H the covariance of its predictions by the fit to all; error (n_own,): whitened, and follows from that
-    fit (Allen 1974).
-    """
-
-    rows: np.ndarray
-    factor: tuple[np.ndarray, bool]
-    error: np.ndarray
-
-    @staticmethod
-    def each(model: Screening[Cause], block: np.ndarray) -> list[LeftOutBlock]:
-        """Return the blocks of residuals numbered by block (n,)."""
-        blocks = []
-        for rows in (np.flatnonzero(block == number) for number in np.unique(block)):
-            root = model.prediction_root[:, rows]
-            factor = scipy.linalg.cho_factor(np.eye(len(rows)) - root.T @ root, lower=True)
-            blocks.append(LeftOutBlock(rows, factor, scipy.linalg.cho_solve(factor, model.settled_residual[rows])))
-        return blocks
-
-    def without(self, model: Screening[Cause], parameters: np.ndarray, value: np.ndarray) -> np.ndarray:
-        """Return the errors (n_own,) of the model without some free parameters (by index), whose estimates are value."""
-        shown = model.root_covariance(parameters)
-        moved = model.prediction_root[:, self.rows].T @ shown
-        alike = scipy.linalg.cho_solve(self.factor, moved)
-        estimate = value + model.change[parameters] + moved.T @ self.error  # by the other blocks, as is its covariance
-        return np.asarray(self.error - alike @ np.linalg.solve(shown.T @ shown + moved.T @ alike, estimate))
-
-
-def carried_over(
-    fitted: Fitted, cause: Cause, beside: Screening[Cause], kinds: Sequence[Sequence[LeftOutBlock]]
-) -> CarriedOver:
-    """Return the gain of a cause of the model, linearised with its background, at left-out blocks of each kind.
-
-    A general smooth function of time cannot predict times that were left out: it is tested on blocks in joint space alone.
-    """
-    gains, ratios = [], list[float]()
-    for blocks in kinds[:1] if cause.effect.smooth_in else kinds:
-        pairs = [(block.without(beside, *fitted.own(cause)), block.error) for block in blocks]
-        gains.append(float(sum(a @ a - b @ b for a, b in pairs)))
-        ratios += [np.log(np.abs(a).max() / np.abs(b).max()) for a, b in pairs]
-    mean, spread = float(np.mean(ratios)), float(np.std(ratios, ddof=1)) / np.sqrt(len(ratios))
-    p = float(scipy.stats.t.cdf(mean / spread, len(ratios) - 1)) if spread > 0 else 1.0
-    return CarriedOver(tuple(gains), p)
-
-
-def carrying(fitted: Fitted, basis: BackgroundBasis) -> set[Cause]:
-    """Return the causes of the model that carry over."""
-    if not fitted.causes:
-        return set()
-    beside = Screening(replace(fitted, background=background(fitted, basis)).beside)
-    kinds = [LeftOutBlock.each(beside, kind) for kind in pose_blocks(fitted)]
-    return {cause for cause in fitted.causes if carried_over(fitted, cause, beside, kinds).holds}
 
 
 def unnamed(
