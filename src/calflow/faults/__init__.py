@@ -12,7 +12,7 @@ import numpy as np
 from calflow.faults.base import Correction, Fault, FaultyRow, correct
 from calflow.faults.duplicate import duplicate
 from calflow.faults.encoder_turn import encoder_turn
-from calflow.faults.implausible import misplaced_lengths, nominal_misfit, one_position, past_limits
+from calflow.faults.implausible import lengths_in_other_units, nominal_misfit, one_position, past_limits
 from calflow.faults.measured_torque import measured_torque
 from calflow.faults.mended_rows import exchanged, unit_mistake
 from calflow.faults.outlier import gross_rows, is_position, outlier
@@ -58,9 +58,8 @@ def examined(data: Measurements, paths: Sequence[Path] = ()) -> tuple[Measuremen
     if not problems and setup and (message := nominal_misfit(setup)):
         first = int(data.series_number[is_position(data)][0])
         problems.append(Problem(message, paths[first] if paths else None))
-    further = ~is_position(data)
-    if not problems and further.any() and not any(fault.action == "unsettled" for fault in faults):
-        problems += [Problem(message, paths[k] if paths else None) for k, message in misplaced_lengths(data, further)]
+    if not problems and "length" in data.table and not any(fault.action == "unsettled" for fault in faults):
+        problems += [Problem(message, paths[k] if paths else None) for k, message in lengths_in_other_units(data)]
     refuse_any(problems)
     return data, faults
 

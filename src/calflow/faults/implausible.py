@@ -137,35 +137,20 @@ def nominal_misfit(setup: Setup) -> str:
     )
 
 
-def misplaced_lengths(data: Measurements, which: np.ndarray) -> Iterator[tuple[int, str]]:
-    """Yield each series, among some rows (n_rows,), of which the nominal robot misses half by more than any robot, and why.
+def lengths_in_other_units(data: Measurements) -> Iterator[tuple[int, str]]:
+    """Yield each series of lengths that the nominal robot misses by far in half of the rows, but not in another unit, and why.
 
-    What is touched is placed by its rows. The words name the unit in which lengths would fit, if there is one.
+    What is touched is placed by its rows.
     """
     far = _median_errors(data)
-    points = build(data.robot, (), data.given).point(np.zeros(0), data.conditions) - np.array(data.robot.base.origin)
-    limit = min(IMPLAUSIBLE_ERROR, IMPLAUSIBLE_SHARE * float(np.nanmax(np.linalg.norm(points, axis=1))))
-    for k in np.unique(data.series_number[which]):
-        if far[k] > limit:
+    for k in map(int, np.flatnonzero(far > IMPLAUSIBLE_ERROR)):
+        if unit := _other_unit(data, k, SHAPE_RIGHT * far[k]):
             name = data.series[k].name or data.series[k].kind
-            unit = _other_unit(data, k, SHAPE_RIGHT * far[k])
-            missed = (
-                f"the nominal robot misses half of '{name}' by {1e3 * far[k]:,.0f} mm or more, with what is touched placed by "
-                f"its rows, which no calibration can correct (at most {rounded(1e3 * limit)} mm): check the units, the links' "
-                "lengths, the order and signs of the joints, their zeros (theta) and the convention (dh or modified-dh)"
-            )
-            yield (
-                k,
-                f"the lengths of '{name}' are in {unit}: the nominal robot fits them far better then"
-                if unit
-                else missed,
-            )
+            yield k, f"the lengths of '{name}' are in {unit}: the nominal robot fits them far better then"
 
 
 def _other_unit(data: Measurements, k: int, limit: float) -> str:
     """Return in words the unit in which the lengths of a series are, if its median error is below a limit [m] then."""
-    if "length" not in data.table:
-        return ""
     lengths, here = data.table["length"], data.of_series(k)
     for factor, words in LENGTH_UNITS.items():
         table = data.table.assign(length=lengths.where(~here, factor * lengths))
