@@ -290,12 +290,10 @@ def name_certainty(finding: Finding) -> str:
         verb = "explains" if len(tested) == 1 else "explain"
         why = [f"{listed(tested, 5)} {verb} these data as well, or nearly so"] if tested else []
         why += [f"{listed(untested, 5)} could not be tested with these data"] if untested else []
-        why += (
-            [f"{'that' if finding.is_in_part else 'it'} may be part of the unexplained error"]
-            if len(named) < len(finding.others)
-            else []
+        doubt, it = (
+            ("A part of it may be another cause", "that") if finding.is_in_part else ("Its name is not certain", "it")
         )
-        doubt = "A part of it may be another cause" if finding.is_in_part else "Its name is not certain"
+        why += [f"{it} may be part of the unexplained error"] if len(named) < len(finding.others) else []
         sentences.append(
             f"{doubt}: {', and '.join(why)} (probability of {finding.name}: "
             f"{sureness(finding.name_probability)}{_of_its_family(finding)})."

@@ -303,14 +303,12 @@ def unsure(outcome: RunOutcome) -> list[str]:
             sentences.append(f"Whether {finding.name} is real or part of the unexplained error.")
         elif finding.status == "one_of" and finding.others:
             more = len(finding.others) - RIVALS
-            names = [finding.name, *(rival.name for rival in finding.others[: RIVALS + (more == 1)])]
-            *first, last = [*names[finding.is_in_part :], *([f"one of {more} more"] if more > 1 else [])]
-            either = f"{', '.join(first)} or {last}" if first else last
-            sentences.append(
-                f"Whether a part of {finding.name} is {either}."
-                if finding.is_in_part
-                else f"Which is the cause: {either}."
-            )
+            others = [rival.name for rival in finding.others[: RIVALS + (more == 1)]]
+            others += [f"one of {more} more"] if more > 1 else []
+            if finding.is_in_part:
+                sentences.append(f"Whether a part of {finding.name} is {' or '.join(others)}.")
+            else:
+                sentences.append(f"Which is the cause: {', '.join([finding.name, *others[:-1]])} or {others[-1]}.")
     left = outcome.unexplained
     if not left and outcome.lack_of_fit_words:
         return [*sentences, "Why more is left than noise: no cause explains it."]
