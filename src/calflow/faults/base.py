@@ -43,12 +43,12 @@ class FaultyRow:
     )
     row: int = column("number of the row, from 1; 0: every row")
     quantity: str = column(
-        "the corrected quantity: position, a measured one, two exchanged axes, or a setting treated as not stated; empty: none",
+        "the corrected quantity: position, a measured one, a name, exchanged axes, or a setting treated as not stated; empty: none",
         default="",
     )
     factor: float = column("factor applied to the quantity", default=1.0)
     offset: float = column("offset added after that", "SI", default=0.0)
-    source: int = column("number of the row whose measured values replace its own; 0: none", default=0)
+    source: int = column("number of the row whose quantity, or measured values, replace its own; 0: none", default=0)
 
     @property
     def sentences(self) -> str:
@@ -59,10 +59,11 @@ class FaultyRow:
 
 @dataclass(frozen=True)
 class Correction:
-    """A correction of a row: its quantity times factor plus offset (SI), or the measured values of the row source.
+    """A correction of a row: its quantity times factor plus offset (SI), or that of the row source (a name, say).
 
-    Rows count from 1, in the order of the file; row 0 means every row. An excluded row has no quantity. The quantity
-    may also be a setting of the series' observation, which is then treated as not stated.
+    Without a quantity, all measured values are those of the source; an excluded row has neither. Rows count from 1, in the
+    order of the file; row 0 means every row. The quantity may also be a setting of the series' observation, which is then
+    treated as not stated.
     """
 
     row: int
@@ -147,7 +148,7 @@ def correct(data: Measurements, fault: Fault) -> Measurements:
     before, table = data.table, data.table.copy()
     of_series = [correction for correction in fault.corrections if _is_setting(data, correction)]
     data = reduce(_without_setting, of_series, data)
-    of_rows = [correction for correction in fault.corrections if correction not in of_series]
+    of_rows = [made for made in fault.corrections if made not in of_series and not made.source]
     for quantity in dict.fromkeys(correction.quantity for correction in of_rows if correction.quantity):
         same = [correction for correction in of_rows if correction.quantity == quantity]
         which, factor, offset = (
@@ -159,10 +160,10 @@ def correct(data: Measurements, fault: Fault) -> Measurements:
         mended = values[at] * factor[:, None] + offset[:, None]
         values[at] = mended[:, ::-1] if quantity in EXCHANGED else mended
         table[[*names]] = values
-    moved = [(correction.row - 1, correction.source - 1) for correction in fault.corrections if correction.source]
-    if moved:
-        rows, sources = np.array(moved).T
-        for name in (name for name in DEVICE_COLUMNS if name in table):
+    copied = [correction for correction in fault.corrections if correction.source]
+    for quantity in dict.fromkeys(correction.quantity for correction in copied):
+        rows, sources = np.array([(made.row - 1, made.source - 1) for made in copied if made.quantity == quantity]).T
+        for name in [quantity] if quantity else [name for name in DEVICE_COLUMNS if name in table]:
             theirs = table[name].to_numpy(copy=True)
             theirs[rows] = before[name].to_numpy()[sources]
             table[name] = theirs

@@ -1,16 +1,14 @@
 """Outliers: rows with gross errors of unknown reason.
 
 Positions are judged by the robust fit of their set-up. Other rows (lengths, contacts, further stations, images) are
-judged by a robust fit of the geometry: lengths in another unit are corrected, and images whose points are numbered from
-another corner are named. Odd rows are outliers against the final model, by a limit that follows from the tail of the
-other residuals.
+judged by a robust fit of the geometry, which also corrects lengths in another unit, mistyped names of objects, and images
+whose points are numbered from another corner. Odd rows are outliers against the final model, by a limit that follows from
+the tail of the other residuals.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
-from itertools import chain
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import scipy
@@ -21,15 +19,15 @@ from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.leverage import Studentised
 from calflow.estimation.noise import measured_noise, median_length
 from calflow.estimation.registration import in_measuring_frame, registered
-from calflow.faults.base import Correction, Fault, fault, faulty_rows
+from calflow.faults.base import Correction, Fault, correct, fault, faulty_rows
 from calflow.faults.mistake import LENGTH_UNITS
 from calflow.faults.reference import EQUATIONS, Reference
-from calflow.faults.rough import GROSS, LEAST_GROSS, RobustFit
+from calflow.faults.rough import FAR_BETTER, GROSS, LEAST_GROSS, RobustFit
 from calflow.files.units import METRE, MeasurementUnit
 from calflow.files.words import rounded
 from calflow.measurements.measurements import Measurements, image_numbers
 from calflow.model import build
-from calflow.observations import observations
+from calflow.observations import Observation, observations
 
 # The only evidence for an outlier is its size, so the limit allows for heavy tails: the largest of n rows exceeds it in
 # one of 300 data sets if each axis has Student's t with 3 degrees of freedom, scaled by the 90 % quantile of rows without
@@ -44,10 +42,9 @@ SMALL = 1e-4  # rad or m: difference step of a joint
 ALONG, SHARE = 0.9, 0.8  # cosine to a joint's direction of motion, in this share of the rows: an error of that joint
 # Poses, and the share of a joint's travel in which fewer than RUN of them lie: chance takes 1 in 5,000.
 FEWEST, NEARBY = 3, 0.15
-FLIPPED = "flipped-image"
+MISNAMED, FLIPPED = "name-mistyped", "flipped-image"
 FLIPS = {"from the opposite corner": ("px_x", "px_y"), "mirrored along x": ("px_x",), "mirrored along y": ("px_y",)}
 MOSTLY = 0.8  # least share of an image's points: central ones hardly move
-NEARER = 0.1  # largest ratio of the errors with the other numbering
 ODD_ROW_FALSE_ALARM = 1 / 500  # false-alarm rate per gap; below 1 / 300 for all gaps tried
 REMOVED, LEAST_REMOVED = 0.1, 3  # largest share and number of rows tested against the others
 GAPS = 3  # number of gaps tried
@@ -146,65 +143,65 @@ def gross_rows(data: Measurements, which: np.ndarray) -> tuple[Fault, ...]:
         limit = limit_of(far[rows], scale, max(GROSS * scale, least))
         gross = rows & (far > limit)
         of_series = f" of measurements {data.series[k].name or k + 1}" if len(data.series) > 1 else ""
-        explained = _in_other_units(here, gross, limit, of_series, missed)
-        if gross.any() and gross.sum() <= MAX_OUTLIER_SHARE * rows.sum():
-            explained += _flipped_images(here, gross, far, missed)
-        faults += explained
+        better = np.minimum(limit, far / FAR_BETTER)
+        explained = _read_otherwise(here, observed[int(k)], gross, better, of_series, missed)
         gross[[correction.row - 1 for fault in explained for correction in fault.corrections]] = False
-        if gross.any() and gross.sum() <= MAX_OUTLIER_SHARE * rows.sum():
+        if gross.sum() > MAX_OUTLIER_SHARE * rows.sum():  # the fit is wrong: a row agrees with it by chance alone
+            continue
+        faults += explained
+        if gross.any():
             what = f"what was measured in LINES{of_series}"
             faults.append(_excluded(data, gross, what, far[gross], float(np.median(far[rows & ~gross])), unit))
     return tuple(faults)
 
 
-def _in_other_units(
-    data: Measurements, gross: np.ndarray, limit: float, of_series: str, miss: Callable[[Measurements], np.ndarray]
-) -> tuple[Fault, ...]:
-    """Return a fault for each unit in which lengths with gross errors (n_rows,) agree with the others.
+def _read_otherwise(
+    data: Measurements, observation: Observation, gross: np.ndarray, limit: np.ndarray, of_series: str,
+    miss: Callable[[Measurements], np.ndarray],
+) -> tuple[Fault, ...]:  # fmt: skip
+    """Return a fault for each other reading by which rows or images with gross errors (n_rows,) agree with the others.
 
-    limit: the greatest error [m] of the others; miss: returns the errors of other data. A row that two units would mend is
-    left alone.
+    limit (n_rows,): the greatest error that is mended, in the leading unit; miss: returns the errors of other data. What two
+    readings would mend is left alone.
     """
-    rows = np.flatnonzero(gross)
-    if "length" not in data.table or not len(rows):
-        return ()
-    read = [replace(data, table=data.table.assign(length=factor * data.table["length"])) for factor in LENGTH_UNITS]
-    mended = np.stack([miss(other)[rows] < limit for other in read])
-    mended &= mended.sum(axis=0) == 1
+    group = image_numbers(data.table) if data.in_images else np.arange(len(data))
+    size = np.bincount(group)
+    rows = np.flatnonzero((np.bincount(group, gross) >= MOSTLY * size)[group]).tolist()
+    readings = [*_readings(data, observation, rows)] if rows else []
+    fits = [np.bincount(group, miss(correct(data, reading)) < limit) >= MOSTLY * size for reading in readings]
+    unique = np.sum(fits, axis=0) == 1
+    mended = [[made for made in reading.corrections if (fit & unique)[group[made.row - 1]]]
+              for reading, fit in zip(readings, fits, strict=True)]  # fmt: skip
     return tuple(
-        fault("unit-mistake", data, 0, [Correction(int(row) + 1, "length", float(f"{factor:.10g}")) for row in rows[some]],
-              "corrected", f"lengths are in {words} in LINES{of_series}; corrected for this run only; correct the file, too")
-        for (factor, words), some in zip(LENGTH_UNITS.items(), mended, strict=True) if some.any()
+        fault(reading.cause, data, 0, corrections, "corrected",
+              f"{reading.statement} in LINES{of_series}; corrected for this run only; correct the file, too")
+        for reading, corrections in zip(readings, mended, strict=True) if corrections
     )  # fmt: skip
 
 
-def _flipped_images(
-    data: Measurements, gross: np.ndarray, far: np.ndarray, miss: Callable[[Measurements], np.ndarray]
-) -> tuple[Fault, ...]:
-    """Return a fault for each numbering of points that explains whole images with gross errors.
-
-    gross (n_rows,): which rows have these; far (n_rows,): their errors [px]; miss: returns the errors of other data.
-    """
-    if not (data.in_images and {*chain.from_iterable(FLIPS.values())} <= {*data.table}):
-        return ()
-    image = image_numbers(data.table)
-    count = np.bincount(image)
-    off = np.bincount(image, gross) >= MOSTLY * count
-    target = data.table["target"] if "target" in data.table else np.zeros(len(data))
-    faults = []
-    for how, columns in FLIPS.items():
-        points = data.table[[*columns]].groupby(target)
-        table = data.table.assign(**(points.transform("min") + points.transform("max") - data.table[[*columns]]))
-        mended = off & (np.bincount(image, miss(replace(data, table=table)) < NEARER * far) >= MOSTLY * count)
-        rows = np.flatnonzero(mended[image])
-        off &= ~mended
-        if len(rows):
-            statement = (
-                f"the target's points are numbered {how} in {mended.sum()} image{'s' if mended.sum() > 1 else ''} "
-                "(LINES); left out; number them as in the others"
+def _readings(data: Measurements, observation: Observation, rows: list[int]) -> Iterator[Fault]:
+    """Yield other readings of rows (from 0) of a series: lengths in other units, other names, points in another order."""
+    table = data.table
+    if "length" in observation.columns.values:
+        for factor, unit in LENGTH_UNITS.items():
+            scaled = tuple(Correction(row + 1, "length", float(f"{factor:.10g}")) for row in rows)
+            yield Fault("unit-mistake", 0, (), f"lengths are in {unit}", "corrected", scaled)
+    own = np.flatnonzero(data.of_series(int(data.series_number[rows[0]])))
+    labels = [label for label in observation.columns.labels if label in table and table[label].iloc[own].notna().all()]
+    names = table[labels].astype(str).to_numpy()
+    for first in own[~table[labels].iloc[own].duplicated()].tolist() if labels else ():
+        renamed = tuple(Correction(row + 1, label, source=first + 1)
+                        for k, label in enumerate(labels) for row in rows if names[row, k] != names[first, k])  # fmt: skip
+        name = ", ".join(f"{label} '{written}'" for label, written in zip(labels, names[first], strict=True) if written)
+        yield Fault(MISNAMED, 0, (), f"what was measured fits {name}, but another is written", "corrected", renamed)
+    if data.in_images and {"px_x", "px_y"} <= {*table}:
+        points = table[["px_x", "px_y"]].groupby(table["target"] if "target" in table else np.zeros(len(data)))
+        ends = points.transform("min") + points.transform("max")
+        for how, columns in FLIPS.items():
+            turned = tuple(
+                Correction(row + 1, name, -1.0, float(ends[name].iloc[row])) for name in columns for row in rows
             )
-            faults.append(faulty_rows(FLIPPED, data, rows, "left out", statement))
-    return tuple(faults)
+            yield Fault(FLIPPED, 0, (), f"the points of whole images are numbered {how}", "corrected", turned)
 
 
 def _excluded(
