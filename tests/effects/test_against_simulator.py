@@ -66,6 +66,7 @@ def compared(benches: dict[str, Bench]) -> Callable[[str], tuple[dict[str, Twin]
 
 FAULTS_OF = {  # the ids of what a check finds, where it is not its name
     "measured-torque": ("torque-sign", "torque-scale"), "exchanged": ("marker-swap", "rows-exchanged"),
+    "outlier": ("outlier", "name-mistyped", "flipped-image"),
     "lost-rows": (), "setup-faults": (),  # those of row-misalignment, and those of a table of their own
 }  # fmt: skip
 
