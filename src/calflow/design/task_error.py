@@ -76,14 +76,10 @@ def lacking_causes(fitted: Fitted, catalogue: Catalogue) -> tuple[LackingCause, 
     places = by_place(screening.scores)
     likely = place_probabilities(places)
     best = ((likely[place], score.candidate) for place, (_, score) in places.items())
-    of_background = screening.regressors.random  # moves no tool
     return tuple(
-        LackingCause(
-            found.cause, probability, *screening.amplitudes(found.columns),
-            np.delete(screening.imitation(found.columns), of_background, axis=0),
-        )
+        LackingCause(found.cause, probability, *screening.amplitudes(found.columns), screening.imitation(found.columns))
         for probability, found in best
-    )  # fmt: skip
+    )
 
 
 def of_robot(errors: ErrorModel) -> ErrorModel:

@@ -58,7 +58,7 @@ class FittedTrial(Trial[Cause]):
         fitted, model, free = self.fitted, self.fitted.model, np.flatnonzero(~self.fitted.fit.at_bound)
         settled = Screening(fitted.beside)
         estimate = fitted.fit.estimate.copy()
-        estimate[free] += settled.change[: len(free)]
+        estimate[free] += settled.change
         every = [_relative_amplitudes(fitted, cause, estimate, self.catalogue.variants) for cause in self.causes]
         columns = np.concatenate([np.zeros(0, dtype=int), *(model.columns(cause) for cause in self.causes)])
         shown = np.flatnonzero(np.isin(free, columns))
@@ -121,12 +121,15 @@ class FittedTrial(Trial[Cause]):
         apart = self.linearisation.apart([cause]).regressors
         # Not apart: at zero, an amplitude may be at its bound, which has no column.
         still = Linearisation.at(fitted, self.catalogue, cause).regressors
-        apart = apart.only(candidate for candidate in apart.candidates if candidate.cause in near)
-        still = still.only(candidate for candidate in still.candidates if candidate.cause in near)
+        candidates = [candidate for candidate in apart.candidates if candidate.cause in near]
+        moving = still.matrix.only(
+            np.concatenate([np.zeros(0, dtype=int), *(candidate.columns for candidate in candidates)])
+        )
+        apart = apart.only(candidates)
         beside = {score.cause: score.cost for score in Screening(apart).scores}
         in_place = [
             replace(score, cost=near[score.cause].cost + score.cost - beside[score.cause])
-            for score in Screening(apart.moving(still.matrix)).scores
+            for score in Screening(apart.moving(moving)).scores
             if score.cause in beside
         ]
         others = [score for score in finding.scores if score.cause not in near]

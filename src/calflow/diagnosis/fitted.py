@@ -101,7 +101,7 @@ class Fitted:
 
     @cached_property
     def _beside(self) -> tuple[np.ndarray, ErrorModel]:
-        return self.with_smooth_errors(self.smooth.variance, excess(self.fit, self.poses))
+        return self.with_smooth_errors(self.smooth.variance, excess(self.fit, self.poses, self.left_out))
 
     @property
     def errors(self) -> ErrorModel:

@@ -362,9 +362,7 @@ class Regressors(Generic[H]):
 
     def as_parameters(self, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return some columns (n, n_own) and their precision (n_own,), to be further parameters."""
-        taken = np.zeros((self.matrix.shape[1], len(columns)))
-        taken[columns, np.arange(len(columns))] = 1.0
-        return self.matrix.times(taken), self.prior_sd[columns] ** -2.0
+        return self.matrix.only(columns).times(np.eye(len(columns))), self.prior_sd[columns] ** -2.0
 
 
 def side_by_side(numbers: np.ndarray) -> np.ndarray | slice:

@@ -211,15 +211,20 @@ class Screening(Generic[H]):
         r = self.regressors
         return np.asarray(scipy.linalg.solve_triangular(self._factor, r.products.fitted_left + r.pull, lower=True))
 
+    @cached_property
+    def _step(self) -> np.ndarray:
+        """Newton step of the free parameters, a background's amplitudes among them, (n_free,)."""
+        return np.asarray(-scipy.linalg.solve_triangular(self._factor.T, self._gradient, lower=False))
+
     @property
     def change(self) -> np.ndarray:
-        """Newton step of the free parameters, (n_free,)."""
-        return np.asarray(-scipy.linalg.solve_triangular(self._factor.T, self._gradient, lower=False))
+        """Newton step of the model's free parameters."""
+        return np.delete(self._step, self.regressors.random)
 
     @cached_property
     def settled_residual(self) -> np.ndarray:
         """Residual after the Newton step, (n,)."""
-        return np.asarray(self.regressors.residual + self.regressors.jacobian @ self.change)
+        return np.asarray(self.regressors.residual + self.regressors.jacobian @ self._step)
 
     @cached_property
     def prediction_root(self) -> np.ndarray:
@@ -281,7 +286,10 @@ class Screening(Generic[H]):
         return score, chi2 + (pull**2 / r.precision[:, None]).sum(axis=0) - (gradient**2).sum(axis=0)
 
     def imitation(self, columns: np.ndarray) -> np.ndarray:
-        """Return the change of the free parameters by a unit of some columns, (n_free, n_columns)."""
+        """Return the change of the model's free parameters by a unit of some columns, (n, n_columns)."""
+        return np.delete(self._imitated(columns), self.regressors.random, axis=0)
+
+    def _imitated(self, columns: np.ndarray) -> np.ndarray:
         return np.asarray(-scipy.linalg.solve_triangular(self._factor.T, self._projected[:, columns], lower=False))
 
     def amplitudes(self, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -318,7 +326,7 @@ class Screening(Generic[H]):
         if r.background is None:
             return np.full(r.matrix.shape[1], float(n))
         visible = r.products.squared - np.einsum("pc,pc->c", self._projected, self._projected)
-        return r.background.amplitude_freedom(self.imitation(np.arange(r.matrix.shape[1]))[r.random], visible, float(n))
+        return r.background.amplitude_freedom(self._imitated(np.arange(r.matrix.shape[1]))[r.random], visible, float(n))
 
     @cached_property
     def _blocks(self) -> list[_Block]:

@@ -165,7 +165,7 @@ def fit_effects(
             poses = np.unique(part.table["pose"], return_inverse=True)[1]
             out = left_out(of_part, poses)
             sizes = SmoothVariances.of(result, means, device.known)
-            result, smooth = beside_smooth_errors(sizes, sizes.variance, excess(of_part, poses))
+            result, smooth = beside_smooth_errors(sizes, sizes.variance, excess(of_part, poses, out))
             errors = beyond_measured(smooth, sizes, sizes.variance)
             if sizes.inputs:
                 say(f"the residuals are smooth in {', '.join(sizes.inputs)}: uncertainties allow for it")

@@ -178,9 +178,13 @@ class LeftOut:
         return self.excess(self.residual_freedom / rng.chisquare(self.residual_freedom, number))
 
 
-def excess(fit: Fit, pose: np.ndarray) -> PerUnit:
-    """Return the excess of leave-one-pose-out errors over noise and parameters, for each unit, as for `left_out`."""
-    return PerUnit(tuple((unit, float(left_out(fit, pose, unit).excess())) for unit in fit.problem.units))
+def excess(fit: Fit, pose: np.ndarray, lengths: LeftOut) -> PerUnit:
+    """Return the excess of leave-one-pose-out errors over noise and parameters, for each unit, as for `left_out`.
+
+    lengths are the errors in metres.
+    """
+    every = ((unit, lengths if unit == METRE else left_out(fit, pose, unit)) for unit in fit.problem.units)
+    return PerUnit(tuple((unit, float(out.excess())) for unit, out in every))
 
 
 def left_out(fit: Fit, pose: np.ndarray, unit: MeasurementUnit = METRE) -> LeftOut:

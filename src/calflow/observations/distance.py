@@ -117,13 +117,13 @@ class Distance(OfThings):
 
     def registered(self, points: np.ndarray, rotations: np.ndarray, table: pd.DataFrame) -> Self:
         """Return the observation with unknown anchor and zero located by trilateration from the nominal robot's points."""
+        free = np.repeat([name in self._open for name in ("anchor", "offset")], [3, 1])
+        if not free.any():
+            return self
         length, stated = table["length"].to_numpy(float), np.array([*self.anchor, self._zero])
         # |point|² - 2 point·anchor + |anchor|² = length² is linear in the anchor and |anchor|².
         system = np.column_stack([-2 * points, np.ones(len(points))])
         begin = np.linalg.lstsq(system, (length - self._zero) ** 2 - (points**2).sum(axis=1), rcond=None)[0][:3]
-        free = np.repeat([name in self._open for name in ("anchor", "offset")], [3, 1])
-        if not free.any():
-            return self
 
         def placed(x: np.ndarray) -> np.ndarray:
             whole = stated.copy()
