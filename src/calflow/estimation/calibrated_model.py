@@ -193,12 +193,15 @@ def position_variance(calibrated: CalibratedModel, conditions: np.ndarray) -> np
     It is the sum of the variances by the parameters, by the choice of the model and by the model's smooth errors given the data at
     that place and time (with a residual field, by the field instead). Noise estimated from the fit itself is included.
     """
+    model, estimate, errors_of = calibrated.model, calibrated.estimate, calibrated.errors
+    of_choice = (choice_errors(calibrated.alternatives, model, estimate, points_at(conditions)) ** 2).sum(axis=2)
     if calibrated.field:
-        choice = choice_errors(calibrated.alternatives, calibrated.model, calibrated.estimate, points_at(conditions))
-        others = parameter_variance(calibrated, conditions) + left_variance(calibrated, conditions)
-        return np.asarray((choice**2).sum(axis=2) + others)
-    squares = [(shared_errors(calibrated, part) ** 2).sum(axis=2) for part in _some(conditions)]
-    return np.concatenate(squares) + calibrated.errors.rest[METRE] ** 2
+        return np.asarray(
+            of_choice + parameter_variance(calibrated, conditions) + left_variance(calibrated, conditions)
+        )
+    every = (errors_of.slopes(model, estimate, part) for part in _some(conditions))
+    smooth = [(errors_of.shared(slopes, calibrated.covariance) ** 2).sum(axis=2) for slopes in every]
+    return of_choice + np.concatenate(smooth) + errors_of.rest[METRE] ** 2
 
 
 def shared_errors(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
