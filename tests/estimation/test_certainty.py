@@ -7,8 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calflow.estimation.calibrated_model import position_variance
+from calflow.estimation.calibrated_model import gain_is_certain, position_variance
+from calflow.estimation.error_model import ErrorModel
 from calflow.estimation.identification import fit_effects
+from calflow.estimation.noise import PerUnit
 from calflow.files.units import METRE
 from calflow.model import build
 from estimation.data import SIGMA, measured
@@ -39,3 +41,18 @@ def test_a_noise_that_only_the_fit_tells_is_in_it_too(data):
     """Fails if an incomplete model looks certain because its errors pass for noise."""
     known = fit_effects(data, ("geometry",), starts=1).known
     assert (np.sqrt(position_variance(known, data.conditions)) > 1.5e-4).all()
+
+
+def test_a_gain_is_certain_where_the_correction_is_told_whatever_else_is_not(data):
+    """Fails if what neither robot knows (a height, say) denies a gain along what was measured, or a doubtful one is certain."""
+    known = fit_effects(replace(data, table=data.table.assign(sigma=SIGMA)), ("geometry",), starts=1).known
+    names = [parameter.name for parameter in known.model.parameters]
+    x, z = names.index("base.x"), names.index("base.z")
+    moved = np.where(np.arange(len(names)) == x, 1e-3, 0.0)
+    for sd, certain in ((3e-4, True), (4e-4, False)):  # half the correction is 1.645 times 0.304 mm
+        variance = np.zeros(len(names))
+        variance[[x, z]] = sd**2, 0.02**2  # the height is as open as before
+        told = replace(
+            known, estimate=moved, covariance=np.diag(variance), errors=ErrorModel.white(PerUnit(), len(names))
+        )
+        assert (gain_is_certain(told, data.conditions) == certain).all()

@@ -39,13 +39,13 @@ def test_the_figures_are_those_of_predictions(material: Material) -> None:
 def test_a_region_without_gain_is_told(material: Material) -> None:
     """Fails if a calibration that is nowhere expected to be nearer than the nominal robot is shown as one that helps."""
     shown = Promised.of(material.calibrated, material.data)
-    assert "no gain" not in replace(shown, error=shown.nominal / 2).words
-    useless = replace(shown, error=2 * shown.nominal)
+    assert "no gain" not in replace(shown, gained=np.ones_like(shown.outside)).words
+    useless = replace(shown, gained=np.zeros_like(shown.outside))
     assert (
         "At 100 % of the poses within the joints' limits no gain over the maker's figures is certain." in useless.words
     )
     at_work = Promised.at_work(material.calibrated, material.data, {})
-    assert material.certainty.no_gain == pytest.approx((at_work.error >= at_work.nominal).mean())
+    assert material.certainty.no_gain == pytest.approx(1 - at_work.gained.mean())
 
 
 def test_it_is_drawn_with_what_was_measured(material: Material) -> None:

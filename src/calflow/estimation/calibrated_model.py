@@ -12,6 +12,7 @@ from functools import cached_property
 from typing import Self
 
 import numpy as np
+import scipy
 
 from calflow.effects.cause import Carried, Cause
 from calflow.estimation.accuracy import completed, error_jacobian, errors, judged_unit
@@ -28,6 +29,7 @@ MANY = 20  # parameters of one cause, beyond which sampling them would take days
 ROWS = 1000  # rows at which smooth errors are evaluated at once
 PART_ROWS = 100_000  # rows whose Jacobian is evaluated at once: enough for compiled code to pay
 RANK = 1e-9  # relative size below which a singular value, or what a fit leaves of a value, is rounding
+CERTAIN = 0.95  # probability of a smaller error than the nominal robot's, from which a gain is called certain
 UNMEASURED = 0.5  # posterior over prior variance of a direction, above which it was hardly measured
 
 
@@ -382,3 +384,20 @@ def distance_moved(calibrated: CalibratedModel, conditions: np.ndarray) -> np.nd
     """Return the distance between nominal and calibrated prediction, shape (n_rows,) [m]."""
     moved = calibrated.model.point(calibrated.model.nominal, conditions) - expected_point(calibrated, conditions)
     return np.asarray(np.linalg.norm(moved, axis=1))
+
+
+def gain_is_certain(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
+    """Return where the calibrated model's error is smaller than the nominal's almost certainly: a mask, shape (n_rows,).
+
+    Both share what no measurement told. The calibrated error is the larger one where, along the correction, it is beyond half of
+    it. Errors are taken as normal, without a residual field.
+    """
+    alone = replace(calibrated, field=None)
+    gained = [np.zeros(0, dtype=bool)]
+    for part in _some(conditions):
+        moved = calibrated.model.point(calibrated.model.nominal, part) - expected_point(alone, part)
+        size = np.linalg.norm(moved, axis=1)
+        along = (np.einsum("na,nak->nk", moved, shared_errors(alone, part)) ** 2).sum(axis=1)
+        sd = np.sqrt(along + (size * calibrated.errors.rest[METRE]) ** 2)  # times the size
+        gained.append(0.5 * size**2 > scipy.special.ndtri(CERTAIN) * sd)
+    return np.concatenate(gained)

@@ -10,7 +10,7 @@ import scipy
 
 from calflow.estimation.calibrated_model import (
     CalibratedModel,
-    distance_moved,
+    gain_is_certain,
     parameter_variance,
     position_variance,
     promised_distance,
@@ -72,7 +72,7 @@ class Certainty:
         "the least and the largest height of them, z in the measuring frame", "m", default=()
     )
     no_gain: float = column(
-        "share of the measured rows at which the predicted error is no smaller than the correction of the nominal position",
+        "share of the measured rows at which an error smaller than the nominal robot's is not certain (95 %)",
         default=0.0,
     )
     expected_mm: tuple[float, ...] = column(
@@ -97,7 +97,7 @@ class Certainty:
         judged = (data.held_out if held else data.train) & there
         some = data.conditions[:, np.flatnonzero(judged)[representative(data.only(judged))]]
         every = data.conditions[:, representative(data)]
-        worse = promised_distance(calibrated, every) >= distance_moved(calibrated, every)
+        gained = gain_is_certain(calibrated, every)
         variances = (of_rows(calibrated, some) for of_rows in (parameter_variance, position_variance))
         model_sd, prediction_sd = (1e3 * float(np.sqrt(variance.sum(axis=1).mean())) for variance in variances)
         noise = calibrated.noise(data)
@@ -118,7 +118,7 @@ class Certainty:
             reach_m=(float(reach.min()), float(reach.max())),
             heights_m=(float(place[:, 2].min()), float(place[:, 2].max())), tested=len(tested), within=int(below.sum()),
             within_chance=float(scipy.special.betainc(beyond, poses - beyond + 1, 1 - PROMISED)) if beyond else 1.0,
-            no_gain=float(worse.mean()), expected_mm=then_and_later(calibrated, data),
+            no_gain=float(1.0 - gained.mean()), expected_mm=then_and_later(calibrated, data),
             missed=missed_poses(calibrated, data, residuals, distance),
         )  # fmt: skip
 

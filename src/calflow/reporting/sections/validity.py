@@ -16,7 +16,13 @@ from matplotlib.figure import Figure
 from calflow.deployment.run_outcome import RunOutcome
 from calflow.deployment.usability import no_gain_words
 from calflow.design.candidates import candidates
-from calflow.estimation.calibrated_model import CalibratedModel, distance_moved, expected_point, promised_distance
+from calflow.estimation.calibrated_model import (
+    CalibratedModel,
+    distance_moved,
+    expected_point,
+    gain_is_certain,
+    promised_distance,
+)
 from calflow.estimation.extrapolation import beyond
 from calflow.files.deferred import pd
 from calflow.files.problems import InputError
@@ -53,12 +59,14 @@ class _Region(FileModel):
 class Promised:
     """Expected errors (n,) [m] at poses, place (n, 3) [m], and nominal, the distance to the nominal robot (n,) [m].
 
-    outside (n,): mask of poses with a joint beyond its measured range; where: which poses, in words.
+    gained (n,): mask of poses with a certain gain; outside (n,): mask of poses with a joint beyond its measured range;
+    where: which poses, in words.
     """
 
     place: np.ndarray
     error: np.ndarray
     nominal: np.ndarray
+    gained: np.ndarray
     outside: np.ndarray
     where: str
 
@@ -97,7 +105,7 @@ class Promised:
             share = percent(self.outside.mean())
             sentence += f" At {share} of them a joint is beyond its measured range: {there} mm there{here}."
         measure = "" if self.where == MEASURED else " Measure there before you use it there."
-        no_gain = no_gain_words(float((self.error >= self.nominal).mean()), self.where)
+        no_gain = no_gain_words(float(1.0 - self.gained.mean()), self.where)
         return f"{sentence} {no_gain}{measure}" if no_gain else sentence
 
 
@@ -114,8 +122,10 @@ def _drawn(calibrated: CalibratedModel, data: Measurements, region: np.ndarray |
 
 
 def _promised_at(calibrated: CalibratedModel, conditions: np.ndarray, outside: np.ndarray, where: str) -> Promised:
-    error, moved = (of(calibrated, conditions) for of in (promised_distance, distance_moved))
-    return Promised(expected_point(calibrated, conditions), error, moved, outside, where)
+    figures = (
+        of(calibrated, conditions) for of in (expected_point, promised_distance, distance_moved, gain_is_certain)
+    )
+    return Promised(*figures, outside, where)
 
 
 def from_the_side(material: Material, place: np.ndarray) -> np.ndarray:
