@@ -197,7 +197,7 @@ class Attained:
         """
         if not data.has_positions:
             return Attained.in_its_unit(calibrated, data)
-        rows = data.stating(calibrated.model.given).on(calibrated.model.robot).conditions
+        rows = calibrated.conditions_of(data)
         table, group, mean = _points(data)
         count = table["rows"].to_numpy()
         estimates = {NOMINAL: calibrated.model.nominal, CALIBRATED: calibrated.estimate}
@@ -207,8 +207,7 @@ class Attained:
         }
         if TARGET[0] in data.table:
             expected[COMMANDED] = mean(data.table[[*TARGET]].to_numpy(dtype=float))
-        sigma = calibrated.noise(data).sigma if calibrated.noise_known else np.zeros(len(data))
-        noise = np.sqrt(np.bincount(group, weights=np.nan_to_num(sigma) ** 2)) / count
+        noise = np.sqrt(np.bincount(group, weights=np.nan_to_num(calibrated.device_sigma(data)) ** 2)) / count
         every = shared_errors(calibrated, rows)
         shared = mean(every.reshape(len(every), -1)).reshape(-1, *every.shape[1:])
         left = mean(position_variance(calibrated, rows)).sum(axis=1) - (shared**2).sum(axis=(1, 2))
@@ -227,7 +226,7 @@ class Attained:
     def in_its_unit(calibrated: CalibratedModel, data: Measurements) -> Attained:
         """Return the points of the series that report in the unit in which their model is judged."""
         unit = unit_of(data)
-        stated, noise = data.stating(calibrated.model.given), calibrated.noise(data)
+        stated = data.stating(calibrated.model.given)
         found = errors_in_unit(calibrated, stated, unit)
         nominal = errors_in_unit(replace(calibrated, estimate=calibrated.model.nominal), stated, unit).error
         there = np.isfinite(found.error)
@@ -240,8 +239,7 @@ class Attained:
         off = {NOMINAL: np.nan_to_num(nominal[rows]), CALIBRATED: np.nan_to_num(found.error[rows])}
         table, group, mean = _points(data.only(rows))
         count = table["rows"].to_numpy()
-        device = noise.sigma[rows] if calibrated.noise_known else np.zeros(rows.sum())
-        of_device = np.sqrt(np.bincount(group, weights=device**2)) / count
+        of_device = np.sqrt(np.bincount(group, weights=calibrated.device_sigma(data)[rows] ** 2)) / count
         variance = mean((there * found.variance).sum(axis=1)[rows, None])[:, 0]
         expected = {name: mean(errors_of - off[CALIBRATED]) for name, errors_of in off.items()}
         return Attained(

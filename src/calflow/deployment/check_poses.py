@@ -86,16 +86,14 @@ def unmoved(calibrated: CalibratedModel, data: Measurements) -> Measurements:
     """
     at_once = {name: data.table[name].iloc[0] for name in ("session", "time") if name in data.table}
     data = replace(data, table=data.table.assign(**at_once))
-    conditions = data.stating(calibrated.model.given).on(calibrated.model.robot).conditions
-    there = calibrated.model.point(calibrated.estimate, conditions)
+    there = calibrated.model.point(calibrated.estimate, calibrated.conditions_of(data))
     return replace(data, table=data.table.assign(**dict(zip(POSITION, there.T, strict=True))))
 
 
 def _slopes(calibrated: CalibratedModel, data: Measurements) -> np.ndarray:
     """Return the Jacobian of rows by all movements in prior standard deviations, over the rows' errors (n, 3, k)."""
-    noise = calibrated.noise(data).sigma if calibrated.noise_known else np.zeros(len(data))
     slopes = [movement.slope * movement.sd for movement in movements(calibrated, data, False)]
-    sigma = np.sqrt(noise**2 + calibrated.errors.rest[METRE] ** 2)
+    sigma = np.sqrt(calibrated.device_sigma(data) ** 2 + calibrated.errors.rest[METRE] ** 2)
     return np.concatenate(slopes, axis=2) / sigma[:, None, None]
 
 

@@ -148,8 +148,8 @@ def _left_open(
     These are the calibration's uncertain errors, each of standard deviation 1, and a fitted device frame.
     """
     calibrated = replace(check.calibrated, alternatives=())
-    before = check.data.stating(calibrated.model.given).on(calibrated.model.robot).conditions
-    together = np.einsum("nm,mai->nai", check.share, shared_errors(calibrated, before))
+    before = shared_errors(calibrated, calibrated.conditions_of(check.data))
+    together = np.einsum("nm,mai->nai", check.share, before)
     seen = together.reshape(len(check.error), -1) / np.sqrt(np.repeat(check.own, 3))[:, None]
     new = shared_errors(bare, conditions) / sigma
     if fitted:  # the further poses are measured in a frame of their own
@@ -399,10 +399,9 @@ def _unseen(check: CheckProblem, step: SearchRound, fitted: bool) -> float:
 
 def _usual_error(check: CheckProblem, fitted: bool) -> float:
     """Return the root mean square error of the points [m] of an uncalibrated robot of the kind, by the priors."""
-    model = check.calibrated.model
-    rows = check.data.stating(model.given).on(model.robot)
+    model, rows = check.calibrated.model, check.calibrated.conditions_of(check.data)
     joint = np.array([bool(parameter.joint) for parameter in model.parameters])
-    slope = np.einsum("nm,mai->nai", check.share, model.point_jacobian(check.calibrated.estimate, rows.conditions))
+    slope = np.einsum("nm,mai->nai", check.share, model.point_jacobian(check.calibrated.estimate, rows))
     moves = (slope * (model.prior_sd * joint)).reshape(len(check.error), -1)
     return float(np.linalg.norm(_unlike(check, moves) if fitted else moves) / np.sqrt(len(check.points)))
 

@@ -82,7 +82,7 @@ def movements(calibrated: CalibratedModel, data: Measurements, station: bool) ->
         data: the rows.
         station: whether the pose of the device or base is a candidate; not where it was fitted.
     """
-    conditions = data.stating(calibrated.model.given).on(calibrated.model.robot).conditions
+    conditions = calibrated.conditions_of(data)
     movements = [*_zeros(calibrated, conditions), *_tool(calibrated, data, conditions)]
     if station:
         movements.append(_station(calibrated.model.point(calibrated.estimate, conditions)))
@@ -217,8 +217,7 @@ class CheckProblem:
         Raises:
             InputError: a frame cannot be fitted.
         """
-        model = calibrated.model
-        rows = data.stating(model.given).on(model.robot).conditions
+        model, rows = calibrated.model, calibrated.conditions_of(data)
         date, names = _sessions(data.table)
         group = np.unique(date * len(data) + conditions(data), return_inverse=True)[1]
         first = np.unique(group, return_index=True)[1]
@@ -227,8 +226,7 @@ class CheckProblem:
         session = date[first]
         points, seen = share @ model.point(calibrated.estimate, rows), share @ data.position
         together = np.einsum("nm,mai->nai", share, shared_errors(calibrated, rows)).reshape(3 * len(first), -1)
-        noise = calibrated.noise(data).sigma if calibrated.noise_known else np.zeros(len(data))
-        variance = (share**2) @ noise**2 + calibrated.errors.rest[METRE] ** 2
+        variance = (share**2) @ calibrated.device_sigma(data) ** 2 + calibrated.errors.rest[METRE] ** 2
         variance += sum((need.spread_mm / 1e3) ** 2 for need in calibrated.needed if need.condition not in data.given)
         covariance = together @ together.T + np.diag(np.repeat(variance, 3))
         if fitted.any():

@@ -230,7 +230,7 @@ def validate(
     stated = calibrated.later(given, data)
     attained = Attained.of(stated, data, figures)
     _check_tolerance(tolerance, attained.unit)
-    field_notes = of_field(stated, data.stating(given).on(stated.model.robot).conditions)
+    field_notes = of_field(stated, stated.conditions_of(data))
     judged: Judged = "commanded" if COMMANDED in attained.expected else "calibrated" if figures is None else "figures"
     compared = _Comparison(attained, judged, *stands(attained, station))
     noise = calibrated.noise(data).typical(attained.unit) if calibrated.noise_known else None

@@ -75,32 +75,22 @@ def candidates(
     sobol = scipy.stats.qmc.Sobol(model.robot.n_joints, rng=rng)
     size = min(LARGEST_DRAW, 1 << int(np.ceil(np.log2(4 * number))))
     rigid = replace(model, effects=(), observations=(), probes=())  # the nominal robot, at a fifth of the cost
+    low, high = model.robot.limits.T  # one turn for a joint without limits
+    touches = observation is not None and observation.touches
     kept: list[np.ndarray] = []
     refusals: list[np.ndarray] = []
     rounds = MAX_DRAWS * max(1, number // size) * (CELL_FACTOR if cell else 1)
     for _ in range(rounds):
-        drawn = scipy.stats.qmc.scale(sobol.random(size), *model.robot.limits.T)
-        readings = drawn @ model.robot.angle_matrix.T
-        conditions = packed_conditions(model, readings, payload, marker)
-        angles = readings @ model.robot.reading_matrix.T
-        good = model.robot.within_limits(angles, ROUNDING)
-        if observation is not None and observation.touches:
-            readings, touching = in_contact(model, observation, readings, conditions)
+        readings = scipy.stats.qmc.scale(sobol.random(size), low, high) @ model.robot.angle_matrix.T
+        if observation is not None and touches:
             conditions = packed_conditions(model, readings, payload, marker)
+            readings, touching = in_contact(model, observation, readings, conditions)
             angles = readings @ model.robot.reading_matrix.T
-            low, high = model.robot.limits.T  # one turn for a joint without limits, as drawn
-            good &= touching & ((angles >= low) & (angles <= high)).all(axis=1)
-        elif region is not None:
-            position = rigid.position(rigid.nominal, packed_conditions(rigid, readings, payload, marker))
-            good &= ((position > region[0]) & (position < region[1])).all(axis=1)
-        good[good] = reachable(model.robot, angles[good])
-        if observation is not None:
-            seen = observation.sees(partial(rigid.link, p=rigid.nominal, conditions=conditions[:, good]))
-            good[good] = True if seen is None else seen
-        if cell is not None:
-            refusals.append(cell.refusals(model, conditions[:, good], marker))
-            good[good] = refusals[-1] == 0
+            readings = readings[touching & ((angles >= low) & (angles <= high)).all(axis=1)]
+        conditions = packed_conditions(rigid, readings, payload, marker)
+        good, refusals_of = admissible(rigid, conditions, marker, None if touches else region, cell, observation)
         kept.append(readings[good])
+        refusals.append(refusals_of)
         if sum(map(len, kept)) >= number:
             readings = np.vstack(kept)[:number]
             if cell is not None:
@@ -114,6 +104,33 @@ def candidates(
         f"of {rounds * size} poses within the joint limits only {sum(map(len, kept))} {left}, {number} are needed: "
         f"is the region within the robot's reach? It is in the measuring frame, with the base at ({base}) mm.{refused}"
     )
+
+
+def admissible(
+    model: Model,
+    conditions: np.ndarray,
+    marker: str,
+    region: np.ndarray | None,
+    cell: Cell | None,
+    observation: Observation | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return which packed rows (n_conditions, n) are within limits and region, seen by an observation, and allowed by the cell.
+
+    This mask is of shape (n,); the cell's refusals (see `Cell.refusals`) are of the rows that all else allows.
+    """
+    robot, point = model.robot, model.nominal
+    angles = conditions[: robot.n_joints].T @ robot.reading_matrix.T
+    good = robot.within_limits(angles, ROUNDING)
+    if region is not None:
+        position = model.position(point, conditions)
+        good &= ((position > region[0]) & (position < region[1])).all(axis=1)
+    good[good] = reachable(robot, angles[good])
+    if observation is not None:
+        seen = observation.sees(partial(model.link, p=point, conditions=conditions[:, good]))
+        good[good] = True if seen is None else seen
+    refusals = np.zeros(good.sum(), dtype=int) if cell is None else cell.refusals(model, conditions[:, good], marker)
+    good[good] = refusals == 0
+    return good, refusals
 
 
 def packed_conditions(model: Model, readings: np.ndarray, payload: str | np.ndarray, marker: str) -> np.ndarray:

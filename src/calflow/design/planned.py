@@ -14,7 +14,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import PlainValidator
 
-from calflow.design.candidates import candidates, packed_conditions
+from calflow.design.candidates import admissible, candidates, packed_conditions
 from calflow.design.cell import Cell, refused_words
 from calflow.design.optimality import ToolError
 from calflow.estimation.least_squares import LeastSquares, SeriesBlock
@@ -30,7 +30,6 @@ from calflow.measurements.series import Series
 from calflow.model import Model
 from calflow.observations import Observation
 from calflow.observations.position import Position
-from calflow.robot.mechanism import reachable
 from calflow.robot.robot import Robot
 
 Aim = Literal["parameters", "tool", "worst"]  # whose variance is minimised
@@ -216,16 +215,10 @@ class SelectionRequest:
 
     def allowed(self, model: Model, readings: np.ndarray, say: Say = nobody) -> np.ndarray:
         """Return which joint readings (n, n_joints) are within limits and region, and allowed by the cell, shape (n,)."""
-        angles, conditions = readings @ model.robot.reading_matrix.T, self.rows(model, readings)
-        good = model.robot.within_limits(angles) & reachable(model.robot, angles)
-        if self.region is not None:
-            position = model.position(model.nominal, conditions)
-            good &= ((position > self.region[0]) & (position < self.region[1])).all(axis=1)
+        good, refusals = admissible(model, self.rows(model, readings), self.marker, self.region, self.cell)
         if self.cell is not None:
-            refusals = self.cell.refusals(model, conditions[:, good], self.marker)
             say(f"of those stated within joint limits and region {refused_words(refusals)}")
-            good[good] = refusals == 0
-        return np.asarray(good)
+        return good
 
     def choice(self, model: Model, seen: Observation, rng: np.random.Generator, say: Say = nobody) -> np.ndarray:
         """Return candidate readings (n, n_joints): drawn to suit an observation, or the admissible stated ones."""

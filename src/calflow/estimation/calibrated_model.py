@@ -138,6 +138,14 @@ class CalibratedModel:
         """Noise of a single row of the first series [its leading unit]."""
         return self.device[0].sigma
 
+    def conditions_of(self, data: Measurements) -> np.ndarray:
+        """Return the packed conditions (n_conditions, n_rows) of rows that state at least those that the model takes."""
+        return data.stating(self.model.given).on(self.model.robot).conditions
+
+    def device_sigma(self, data: Measurements) -> np.ndarray:
+        """Return the device's noise of rows (n_rows,) [leading unit]; zero where it is not known apart from the model's errors."""
+        return self.noise(data).sigma if self.noise_known else np.zeros(len(data))
+
     def noise(self, data: Measurements) -> Noise:
         """Return the noise of rows by each series' source; rows that state none have that of the fitted rows."""
         stated = stated_noise(data)
@@ -332,7 +340,7 @@ def promised_variance(calibrated: CalibratedModel, data: Measurements, unit: Mea
 
     Shape (n_rows, n_axes) [unit²]; 0 where a row has no value in the unit. data must have the conditions that the model needs.
     """
-    device = calibrated.noise(data).sigma[:, None] ** 2 if calibrated.noise_known else 0.0
+    device = calibrated.device_sigma(data)[:, None] ** 2
     if calibrated.field:
         return np.asarray(position_variance(calibrated, data.conditions) + device)
     found = errors_in_unit(calibrated, data, unit)

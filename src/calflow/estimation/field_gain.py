@@ -99,8 +99,8 @@ def training_poses(calibrated: CalibratedModel, data: Measurements, rng: np.rand
     readings, group = np.unique(np.round(joints / ALIKE), axis=0, return_inverse=True)
     count = np.maximum(np.bincount(group.ravel(), minlength=len(readings)), 1)
     mean = np.stack([np.bincount(group.ravel(), axis, len(readings)) for axis in left.T], axis=1) / count[:, None]
-    sigma = calibrated.noise(train).sigma if calibrated.noise_known else np.zeros(len(train))
-    noise = np.sqrt(np.mean(np.nan_to_num(sigma) ** 2 / count[group.ravel()])) if len(train) else 0.0
+    sigma = np.nan_to_num(calibrated.device_sigma(train))
+    noise = np.sqrt(np.mean(sigma**2 / count[group.ravel()])) if len(train) else 0.0
     some = np.sort(rng.permutation(len(readings))[:MAX_POSES])
     free = ~calibrated.at_bound
     kept = np.diag(calibrated.covariance)[free] / calibrated.model.prior_sd[free] ** 2

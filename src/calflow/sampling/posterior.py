@@ -247,10 +247,8 @@ def _quantiles(deviation: np.ndarray, level: np.ndarray, sigma: np.ndarray, rng:
 
 def _remaining_sd(calibrated: CalibratedModel, data: Measurements, unit: MeasurementUnit) -> np.ndarray:
     """Return the sd of errors not due to parameters or choice of model, noise included, (n_rows, 3) in the unit judged."""
-    noise = calibrated.noise(data)
-    device = noise.sigma[:, None] if calibrated.noise_known else 0.0
-    held = np.sqrt(device**2 + errors_in_unit(calibrated, data, unit).left)
-    return np.where(data.held_out[:, None], held, noise.total[:, None])
+    held = np.sqrt(calibrated.device_sigma(data)[:, None] ** 2 + errors_in_unit(calibrated, data, unit).left)
+    return np.where(data.held_out[:, None], held, calibrated.noise(data).total[:, None])
 
 
 def _missing_steps(steps: int, tau: float, ess: float, length: ChainLength) -> int:

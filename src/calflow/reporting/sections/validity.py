@@ -122,10 +122,10 @@ def _drawn(calibrated: CalibratedModel, data: Measurements, region: np.ndarray |
 
 
 def _promised_at(calibrated: CalibratedModel, conditions: np.ndarray, outside: np.ndarray, where: str) -> Promised:
-    figures = (
+    place, error, nominal, gained = (
         of(calibrated, conditions) for of in (expected_point, promised_distance, distance_moved, gain_is_certain)
     )
-    return Promised(*figures, outside, where)
+    return Promised(place, error, nominal, gained, outside, where)
 
 
 def from_the_side(material: Material, place: np.ndarray) -> np.ndarray:
