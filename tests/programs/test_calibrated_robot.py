@@ -11,7 +11,7 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from calflow.deployment.conventions import angle_between, inverse, pose_matrix, pose_values
+from calflow.deployment.conventions import angle_between, pose_matrix, pose_values
 from calflow.estimation.needed_conditions import NeededCondition
 from calflow.measurements.measurements import Measurements
 from calflow.model import build
@@ -83,7 +83,7 @@ def test_a_corrected_program_lands_where_it_says():
     assert max(row.moved_mm for row in done.rows) > 1
     before = [pose_matrix(target.values, "quaternion") for target in program.targets[:4]]
     after = [target.values for target in parsed(done.source, Path("weld.mod")).targets]
-    commands = [inverted(pose_matrix(values, "quaternion") @ inverse(TOOL), q)
+    commands = [inverted(pose_matrix(values, "quaternion") @ np.linalg.inv(TOOL), q)
                 for values, q in zip(after[:4], readings, strict=True)]  # fmt: skip
     landed = truly(corrector, np.array([*commands, after[4]])) @ TOOL
     for place, aim in zip(landed, [*before, corrector.flange(readings[:1])[0] @ TOOL], strict=True):
@@ -125,7 +125,7 @@ def truly(corrector, readings):
     flange = np.tile(np.eye(4), (len(readings), 1, 1))
     flange[:, :3, :3] = model.rotation(known.estimate, conditions)
     flange[:, :3, 3] = model.point(known.estimate, conditions) - flange[:, :3, :3] @ marker
-    return inverse(stands @ base) @ flange
+    return np.linalg.inv(stands @ base) @ flange
 
 
 R2000 = {  # of an R-2000iB/165F, counted as its controller counts; its world is where axes 1 and 2 meet in height
@@ -178,11 +178,11 @@ def test_base_and_flange_of_the_controller_may_be_elsewhere():
     source = rapid_program(corrector, usual(corrector, 3))
     plain = filtered(parsed(source, Path("w.mod")), corrector, FilterSettings({}, {}))
     base, flange = pose_matrix([0, 0, 0.67, 0, 0, 0], "xyz"), pose_matrix([0, 0, 0, 0, 0, np.pi], "xyz")
-    tool = inverse(flange) @ TOOL
+    tool = np.linalg.inv(flange) @ TOOL
     other = filtered(
         parsed(source, Path("w.mod")),
         corrector,
-        FilterSettings({"gun": tool}, {"wobj0": inverse(base)}, base=base, flange=flange),
+        FilterSettings({"gun": tool}, {"wobj0": np.linalg.inv(base)}, base=base, flange=flange),
     )
     assert other.source == plain.source
 

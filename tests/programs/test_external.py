@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calflow.deployment.conventions import angle_between, inverse, pose_matrix, pose_values
+from calflow.deployment.conventions import angle_between, pose_matrix, pose_values
 from calflow.programs.aims import FilterSettings
 from calflow.programs.calibrated_robot import Axes
 from calflow.programs.formats import parsed
@@ -76,8 +76,8 @@ def test_a_corrected_program_on_a_rail_lands_where_it_says(arms):
     for before, after, rail, q in zip(read.targets, again.targets, RAILS, arms, strict=False):
         wagon = np.eye(4)
         wagon[1, 3] = -rail
-        flange = pose_matrix(after.values, "quaternion") @ inverse(TOOL)
-        commands.append([rail, *inverted(inverse(wagon) @ flange, q)])
+        flange = pose_matrix(after.values, "quaternion") @ np.linalg.inv(TOOL)
+        commands.append([rail, *inverted(np.linalg.inv(wagon) @ flange, q)])
         aims.append(pose_matrix(before.values, "quaternion"))
     commands.append([RAILS[0], *again.targets[4].values])
     aims.append(corrector.flange(np.array([[RAILS[0], *read.targets[4].values]]))[0] @ TOOL)

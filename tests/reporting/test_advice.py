@@ -202,7 +202,7 @@ def lost(*by_pose: float) -> dict[str, object]:
     poses = np.repeat(np.arange(len(by_pose)), 2)
     return {
         f"{stage}/residuals.csv": pd.DataFrame(
-            {"pose": poses, "split": "holdout", "error_mm": 0.06 + more, "line": poses, "flagged": False}
+            {"pose": poses, "split": "holdout", "error": 0.06 + more, "unit": "mm", "line": poses, "flagged": False}
         )
         for stage, more in (("identify", 0.0), ("diagnose", np.repeat(by_pose, 2)))
     }

@@ -318,8 +318,9 @@ def test_poses_far_beyond_their_promise_are_named(small: Context) -> None:
     fitted, held, unmeasured = (
         left.index[left["split"] == split][k] for split, k in (("train", 3), ("holdout", 2), ("train", 5))
     )
-    left.loc[fitted, "error_mm"], left.loc[held, "error_mm"] = 2.0, 3.0
-    left.loc[left["pose"] == left["pose"][unmeasured], "error_mm"] = np.nan
+    for size in ("error_mm", "error"):
+        left.loc[fitted, size], left.loc[held, size] = 2.0, 3.0
+    left.loc[left["pose"] == left["pose"][unmeasured], ["error_mm", "error"]] = np.nan
     missed = Certainty.of(material.calibrated, material.data, left).missed
     assert [(pose.line, pose.split, pose.error) for pose in missed] == [
         (left["line"][held], "holdout", 3.0), (left["line"][fitted], "train", 2.0)

@@ -66,16 +66,6 @@ def pose_values(matrix: np.ndarray, turn: Turn, like: np.ndarray) -> np.ndarray:
     return np.concatenate([matrix[:3, 3], figures])
 
 
-def inverse(matrix: np.ndarray) -> np.ndarray:
-    """Return the inverse of rigid transforms (..., 4, 4)."""
-    back = np.zeros_like(matrix)
-    turned = np.swapaxes(matrix[..., :3, :3], -1, -2)
-    back[..., :3, :3] = turned
-    back[..., :3, 3] = -np.einsum("...ij,...j->...i", turned, matrix[..., :3, 3])
-    back[..., 3, 3] = 1.0
-    return back
-
-
 def angle_between(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Return the angle [rad] by which the orientations of transforms (..., 4, 4) differ."""
     turned = np.swapaxes(first[..., :3, :3], -1, -2) @ second[..., :3, :3]

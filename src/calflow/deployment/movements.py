@@ -319,9 +319,7 @@ class SearchRound:
     @property
     def probabilities(self) -> np.ndarray:
         """Posterior probability of each, given that one of them is true, shape (n,)."""
-        evidence = np.array([explained.evidence for explained in self.explained])
-        share = np.exp(evidence - evidence.max())
-        return np.asarray(share / share.sum())
+        return np.asarray(scipy.special.softmax([explained.evidence for explained in self.explained]))
 
     @property
     def names(self) -> dict[str, float]:

@@ -86,5 +86,4 @@ class Errors:
 
 def _powers(size: np.ndarray) -> np.ndarray:
     """Return the Box-Cox transforms of sizes (n,) with each of POWERS, shape (n_powers, n)."""
-    power = POWERS[1:, None]
-    return np.vstack([np.log(size), (size**power - 1) / power])
+    return np.asarray(scipy.special.boxcox(size, POWERS[:, None]))

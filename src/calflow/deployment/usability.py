@@ -15,7 +15,6 @@ from calflow.diagnosis.findings import Finding
 from calflow.effects.base import effect_class
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.model_tables import FitSummary
-from calflow.files.units import METRE
 from calflow.files.words import listed, mm, percent, plural
 
 USELESS = 0.95  # share of the nominal error above which calibration gained nothing
@@ -223,17 +222,14 @@ def loss_by_chance(outcome: RunOutcome) -> float:
     1 with fewer than two poses, or where all losses are equal.
     """
     unit = outcome.accuracy[0].unit
-    size = "error_mm" if unit == METRE.label else "error"
     by_pose = [
-        rows[(rows["split"] == "holdout") & (unit == METRE.label or rows["unit"] == unit)].groupby("pose")[size].mean()
+        rows[(rows["split"] == "holdout") & (rows["unit"] == unit)].groupby("pose")["error"].mean()
         for rows in (outcome.tables[f"{stage}/residuals.csv"] for stage in ("diagnose", "identify"))
     ]
     lost = (by_pose[0] - by_pose[1]).dropna()
-    return (
-        float(scipy.stats.ttest_1samp(lost, 0.0, alternative="greater").pvalue)
-        if len(lost) > 1 and lost.std() > 0
-        else 1.0
-    )
+    if not (len(lost) > 1 and lost.std() > 0):
+        return 1.0
+    return float(scipy.stats.ttest_1samp(lost, 0.0, alternative="greater").pvalue)
 
 
 def look_for_reason(outcome: RunOutcome) -> Iterator[Advice]:

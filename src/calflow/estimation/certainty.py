@@ -19,7 +19,6 @@ from calflow.estimation.calibrated_model import (
 from calflow.estimation.noise import representative
 from calflow.files.deferred import pd
 from calflow.files.tables import column
-from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements
 
 # Mean length of a vector of 0 to 3 standard normals.
@@ -196,6 +195,4 @@ def missed_poses(
 
 def errors_in(residuals: pd.DataFrame, label: str) -> np.ndarray:
     """Return the size of each row's error, shape (n_rows,), in the unit with a label; nan where its values are in another."""
-    if label == METRE.label:
-        return residuals["error_mm"].to_numpy(dtype=float)
     return residuals["error"].where(residuals["unit"] == label).to_numpy(dtype=float)

@@ -154,8 +154,7 @@ class Curve:
         freedom = whole**2 / (expected**2).sum(axis=1)
         logs = scipy.stats.chi2.logpdf(self.estimate @ self.estimate * freedom / whole, freedom)
         logs += np.log(freedom / whole) - np.log(np.maximum(CANDIDATE_SIZES, 1.0))
-        weight = np.exp(logs - logs.max())
-        return np.asarray(weight / weight.sum())
+        return np.asarray(scipy.special.softmax(logs))
 
     @property
     def rms_elsewhere(self) -> float:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calflow.deployment.conventions import UNIT_LENGTH, inverse
+from calflow.deployment.conventions import UNIT_LENGTH
 from calflow.files.problems import InputError, Problem
 from calflow.programs.calibrated_robot import Axes
 from calflow.programs.edits import Edit, declared_again
@@ -44,7 +44,7 @@ class FilterSettings:
 class Aim:
     """A target of a file with its tool and frame (4, 4), and the joint readings (n_joints,) intended there.
 
-    The flange is at frame @ target @ inverse(tool). use: the move, if it goes to a pose computed from the target;
+    The flange is at frame @ target @ np.linalg.inv(tool). use: the move, if it goes to a pose computed from the target;
     follows: whether that pose shares the correction of another aim. copy: the name of a second target, declared for
     moves with another tool or frame; empty for the target itself. note, reason: why readings are missing.
     """
@@ -68,7 +68,7 @@ class Aim:
     @cached_property
     def flange(self) -> np.ndarray:
         """The flange pose (4, 4) at the target in the robot's base, as the controller computes it."""
-        return self.frame @ self.target.pose @ inverse(self.tool)
+        return self.frame @ self.target.pose @ np.linalg.inv(self.tool)
 
 
 @dataclass(frozen=True)
@@ -200,7 +200,7 @@ def _of_moves(file: str, target: Target, placed: tuple[np.ndarray, np.ndarray] |
         return []
     itself = Aim(file=file, target=target, tool=placed[0], frame=placed[1], copy=copy)
     aims = [
-        replace(itself, tool=itself.tool @ inverse(place.after), frame=itself.frame @ place.before, use=use)
+        replace(itself, tool=itself.tool @ np.linalg.inv(place.after), frame=itself.frame @ place.before, use=use)
         for use in target.uses
         if (place := use.computed)
     ]

@@ -15,7 +15,6 @@ import numpy as np
 import scipy
 
 from calflow.deployment.compensation import base_placement, compensate_rows
-from calflow.deployment.conventions import inverse
 from calflow.deployment.inverse_kinematics import DRAWN, Targets, drawn_readings, features, landing
 from calflow.deployment.prediction import Missing, as_stated
 from calflow.estimation.calibrated_model import CalibratedModel
@@ -236,7 +235,7 @@ class CalibratedRobot:
     def flange(self, readings: np.ndarray) -> np.ndarray:
         """Return the flange poses (n, 4, 4) of the controller's forward kinematics at readings (n, n_joints)."""
         seen, tool = _frames(self._rigid, np.zeros(0), self._conditions(readings))
-        return inverse(self._base) @ seen @ inverse(tool)
+        return np.linalg.inv(self._base) @ seen @ np.linalg.inv(tool)
 
     def solutions(
         self, flanges: np.ndarray, starts: int, near: Sequence[np.ndarray | None], external: np.ndarray

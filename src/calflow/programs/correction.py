@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from calflow.deployment.conventions import angle_between, inverse
+from calflow.deployment.conventions import angle_between
 from calflow.files.problems import Problem, refuse_any
 from calflow.files.tables import column
 from calflow.programs.aims import Aim, FilterSettings, aims_of, all_targets, runs_of_moves, second_targets
@@ -161,7 +161,7 @@ def _corrected(
         beside = max(_distance_mm(way, after[k], tool) for way in ways[k])
         remaining += beside
         if aim.follows:
-            sent = aim.frame @ poses[aim.key] @ inverse(aim.tool) if aim.key in poses else before[k]
+            sent = aim.frame @ poses[aim.key] @ np.linalg.inv(aim.tool) if aim.key in poses else before[k]
             remaining += _distance_mm(sent, after[k], tool)
         moved = _distance_mm(before[k], after[k], tool)
         figures: dict[str, Any] = {
@@ -173,7 +173,7 @@ def _corrected(
             note = f"is computed from {aim.copy or aim.target.name}, whose correction it shares"
             rows.append(_row(aim, "follows", note, reason=shared, **figures))
             continue
-        pose = inverse(aim.frame) @ after[k] @ aim.tool
+        pose = np.linalg.inv(aim.frame) @ after[k] @ aim.tool
         if aim.target.turn:
             poses[aim.key] = pose
         written, flags = _written(aim.target, new[list(corrector.axes.arm)], pose, postures[k])

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from calflow.deployment.conventions import NOTATIONS, NOWHERE, inverse
+from calflow.deployment.conventions import NOTATIONS, NOWHERE
 from calflow.programs.names import Call
 from calflow.programs.statements import Destination, Statements
 from calflow.programs.syntax import Grammar, Node, TreeBuilder, branch, leaf, refusal
@@ -247,7 +247,7 @@ class UrScript(Statements):
             return None if resolved is None else self.matrix(resolved)
         if value.kind == "call" and value.text == "pose_inv" and len(value.items) == 1:
             inner = self.matrix(value.items[0])
-            return None if inner is None else inverse(inner)
+            return None if inner is None else np.linalg.inv(inner)
         if value.kind == "call" and value.text == "pose_trans" and len(value.items) == 2:
             before, after = (self.matrix(item) for item in value.items)
             return None if before is None or after is None else before @ after

@@ -104,10 +104,7 @@ def sensitivity(values: np.ndarray, log_density: np.ndarray) -> np.ndarray:
 
 def power_weights(log_density: np.ndarray, alpha: float) -> np.ndarray:
     """Return the normalised weights of draws for a factor of the posterior raised to the power alpha."""
-    array_stats = _array_stats()
-    log_weights = array_stats.power_scale_lw(log_density, alpha=alpha, axis=(0, 1))
-    weights = np.exp(log_weights - log_weights.max())
-    return weights / weights.sum()
+    return np.asarray(scipy.special.softmax(_array_stats().power_scale_lw(log_density, alpha=alpha, axis=(0, 1))))
 
 
 def told_by_prior(table: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:

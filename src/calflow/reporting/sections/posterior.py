@@ -157,11 +157,9 @@ def _posterior(material: Material) -> list[Block]:
     """Tabulate the checks, and draw traces and correlated pairs."""
     rows, summary = material.results.rows(SAMPLED, PosteriorRow), material.chain_summary
     model, held = material.sampled
-    fitted = np.where(model.at_bound, np.nan, np.sqrt(np.diag(model.covariance)))
-    ratio = np.array([row.sd for row in rows])[: len(fitted)] / fitted
     return [
         Paragraph(INTRODUCTION + LINEAR * bool(model.errors.functions), keep=True),
-        Table(("check", "value", "criterion"), _checks(rows, ratio[np.isfinite(ratio)], summary), "lll"),
+        Table(("check", "value", "criterion"), _checks(rows, summary), "lll"),
         *listing(cut_words(summary)),
         *listing(prior_words(material.tables[SAMPLED])),
         *([Paragraph(HELD.format(listed([cause_name(cause.id, cause.joint) for cause in held])))] if held else []),
@@ -170,9 +168,10 @@ def _posterior(material: Material) -> list[Block]:
     ]
 
 
-def _checks(rows: Sequence[PosteriorRow], ratio: np.ndarray, summary: ChainSummary) -> list[tuple[str, str, str]]:
+def _checks(rows: Sequence[PosteriorRow], summary: ChainSummary) -> list[tuple[str, str, str]]:
     worst, least = max(rows, key=lambda row: row.rhat), min(rows, key=lambda row: row.ess)
-    over = f"{ratio.min():.2f} to {ratio.max():.2f}" if len(ratio) else "every parameter is at a bound"
+    low, high = summary.sd_over_laplace_least, summary.sd_over_laplace_most
+    over = "every parameter is at a bound" if low is None or high is None else f"{low:.2f} to {high:.2f}"
     criterion = f"below {ENSEMBLES_AGREE:g}"
     return [
         ("agreement of ensembles (largest R-hat)", f"{worst.rhat:.4f} ({worst.parameter})", criterion),
