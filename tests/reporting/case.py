@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pandas as pd
 
@@ -31,6 +30,7 @@ from calflow.model import Model, build
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
 from calflow.robot.robot import Robot
+from calflow.sampling.chain import BLOBS, Chain
 from calflow.sampling.posterior import ChainSummary
 from calflow.stages.identify import STAGE as IDENTIFY
 from calflow.stages.stage import Context
@@ -334,11 +334,13 @@ def with_sample(given: Context, steps: int = 40) -> Context:
     path = given.run_folder / "sample" / "chain.h5"
     path.parent.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng(2)
-    with h5py.File(path, "w") as file:
-        for e in range(4):
-            group = file.create_group(f"ensemble{e + 1}")
-            group["chain"] = rng.standard_normal((steps, 2 * n, n))
-            group.attrs["iteration"] = steps
+    path.unlink(missing_ok=True)
+    chain = Chain.open(path, 4, (2 * n, n), 0.9, print)
+    for ensemble in chain.ensembles:
+        ensemble.iteration, ensemble.random_state = steps, ()
+        ensemble.chain, ensemble.log_prob = rng.standard_normal((steps, 2 * n, n)), np.zeros((steps, 2 * n))
+        ensemble.blobs = np.zeros((steps, 2 * n), BLOBS)
+    chain.save()
     names = [*parameters["parameter"], "noise.factor"]
     centre, sd = [*parameters["estimate"], 1.0], [*parameters["sd"].fillna(1e-6), 0.05]
     posterior = pd.DataFrame({"parameter": names, "unit": [*parameters["unit"], "1"], "mean": centre, "sd": sd})

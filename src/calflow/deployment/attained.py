@@ -101,12 +101,11 @@ def restored(errors: np.ndarray, points: np.ndarray) -> np.ndarray:
     return np.asarray(np.einsum("nai,ni,nbi,nb...->na...", vectors, root, vectors, errors))
 
 
-def placed_anew(errors: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return errors (n, 3, …) of points (n, 3) with a fitted rigid motion removed, and enlarged as by `restored`."""
+def beside_motion(errors: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Return errors (n, 3, …) of points (n, 3) without what a rigid motion of them all removes (least squares)."""
     slope = rigid_slope(points).reshape(3 * len(points), FREEDOM)
     stacked = errors.reshape(len(slope), -1)
-    left = stacked - slope @ np.linalg.lstsq(slope, stacked, rcond=None)[0]
-    return restored(left.reshape(errors.shape), points)
+    return np.asarray(stacked - slope @ np.linalg.lstsq(slope, stacked, rcond=None)[0]).reshape(errors.shape)
 
 
 def errors_left_out(measured: np.ndarray, expected: np.ndarray, pose: np.ndarray) -> np.ndarray:
@@ -306,7 +305,8 @@ class Attained:
         shared = self.shared.copy()
         for frame in np.flatnonzero(fitted):
             rows = self.frame == frame
-            shared[rows] = placed_anew(shared[rows], self.measured[rows])
+            points = self.measured[rows]
+            shared[rows] = restored(beside_motion(shared[rows], points), points)
         return np.asarray(np.sqrt((shared**2).sum(axis=(1, 2)) + self.apart**2))
 
     def errors_of_further(self, model: str, fitted: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from calflow.deployment.attained import Attained, can_align, rigid_slope
+from calflow.deployment.attained import Attained, beside_motion, can_align, rigid_slope
 from calflow.deployment.movements import (
     ANYWHERE,
     FALSE_ALARM,
@@ -390,8 +390,8 @@ def _unseen(check: CheckProblem, step: SearchRound, fitted: bool) -> float:
     far = [0.0]
     for explained in step.explained:
         if explained.movement.kind == "zero" and explained.since == 0:
-            whole = check.columns(explained.movement, 0)[:, 0]
-            moves = _unlike(check, whole) if fitted else whole
+            whole = check.columns(explained.movement, 0)[:, 0].reshape(-1, 3)
+            moves = beside_motion(whole, check.points) if fitted else whole
             if np.linalg.norm(moves) > ALL_ALIKE * np.linalg.norm(whole):
                 far.append(float(explained.limit[0] * np.linalg.norm(moves) / np.sqrt(len(check.points))))
     return max(far)
@@ -402,14 +402,8 @@ def _usual_error(check: CheckProblem, fitted: bool) -> float:
     model, rows = check.calibrated.model, check.calibrated.conditions_of(check.data)
     joint = np.array([bool(parameter.joint) for parameter in model.parameters])
     slope = np.einsum("nm,mai->nai", check.share, model.point_jacobian(check.calibrated.estimate, rows))
-    moves = (slope * (model.prior_sd * joint)).reshape(len(check.error), -1)
-    return float(np.linalg.norm(_unlike(check, moves) if fitted else moves) / np.sqrt(len(check.points)))
-
-
-def _unlike(check: CheckProblem, moves: np.ndarray) -> np.ndarray:
-    """Return displacements of points (n, …) [m] without their rigid part."""
-    frame = rigid_slope(check.points).reshape(len(moves), -1)
-    return np.asarray(moves - frame @ np.linalg.lstsq(frame, moves, rcond=None)[0])
+    moves = slope * (model.prior_sd * joint)
+    return float(np.linalg.norm(beside_motion(moves, check.points) if fitted else moves) / np.sqrt(len(check.points)))
 
 
 def _left(check: CheckProblem, best: tuple[Explained, ...]) -> np.ndarray:

@@ -382,9 +382,8 @@ def joint_sizes(check: CheckProblem, steps: Sequence[SearchRound]) -> tuple[Expl
     sd = np.concatenate([explained.movement.sd for explained in best])
     factor = np.linalg.cholesky(check.covariance)
     columns = np.hstack([check.columns(explained.movement, explained.since) for explained in best]) * sd
-    scaled, whitened = np.linalg.solve(factor, columns), np.linalg.solve(factor, check.error)
-    inverse = np.linalg.inv(scaled.T @ scaled + np.eye(len(sd)))
-    size, covariance = sd * (inverse @ scaled.T @ whitened), np.outer(sd, sd) * inverse
+    mean, inverse = _posterior(np.linalg.solve(factor, columns), np.linalg.solve(factor, check.error))
+    size, covariance = sd * mean, np.outer(sd, sd) * inverse
     ends = np.cumsum([len(explained.size) for explained in best])
     spans = [slice(end - len(explained.size), end) for explained, end in zip(best, ends, strict=True)]
     return tuple(
@@ -433,13 +432,16 @@ def _explained(
 ) -> Explained:
     """Return a movement's size by generalised least squares with its prior, and its log evidence relative to none."""
     scaled = slope * movement.sd
-    information = scaled.T @ scaled + np.eye(scaled.shape[1])
-    moment = scaled.T @ whitened
-    inverse = np.linalg.inv(information)
-    size = movement.sd * (inverse @ moment)
-    evidence = 0.5 * float(moment @ inverse @ moment) - 0.5 * float(np.linalg.slogdet(information)[1])
+    mean, inverse = _posterior(scaled, whitened)
+    evidence = 0.5 * float(whitened @ scaled @ mean + np.linalg.slogdet(inverse)[1])
     seen = scipy.stats.norm.isf(threshold / 2) + scipy.stats.norm.ppf(FOUND)
     strength = np.linalg.norm(slope, axis=0)
     limit = np.divide(seen, strength, out=np.full(len(strength), np.inf), where=strength > 0)
     covariance = np.outer(movement.sd, movement.sd) * inverse
-    return Explained(movement, since, size, covariance, p, evidence + float(np.log(movement.odds)), limit)
+    return Explained(movement, since, movement.sd * mean, covariance, p, evidence + float(np.log(movement.odds)), limit)
+
+
+def _posterior(slope: np.ndarray, whitened: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return mean (k,) and covariance (k, k) of standard normal sizes with slopes (n, k), given whitened errors (n,)."""
+    covariance = np.linalg.inv(slope.T @ slope + np.eye(slope.shape[1]))
+    return covariance @ (slope.T @ whitened), covariance

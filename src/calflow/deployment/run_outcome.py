@@ -25,6 +25,7 @@ from calflow.sampling.posterior import ChainSummary
 from calflow.sampling.task_points import TaskSummary
 
 FAULTS = "identify/faults.csv"
+MORE_THAN_NOISE = "The error left is larger than the instrument's noise explains"
 Figures = tuple[float, float, float]  # mean, RMS and largest error
 Value = TypeVar("Value")
 
@@ -167,4 +168,4 @@ class RunOutcome:
             return ""
         worst = self.diagnosis_summary.worst
         where = f" It is {worst.words}." if worst else ""
-        return f"The error left is larger than the instrument's noise explains.{where}"
+        return f"{MORE_THAN_NOISE}.{where}"

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 
 from calflow.deployment.drift import Drift
-from calflow.deployment.run_outcome import FAULTS, RunOutcome
+from calflow.deployment.run_outcome import FAULTS, MORE_THAN_NOISE, RunOutcome
 from calflow.deployment.usability import (
     AT_THE_DESK,
     CAUSE_RULES,
@@ -144,8 +144,8 @@ def model_lacks(outcome: RunOutcome) -> Iterator[Advice]:
         doubt = "the noise is larger than stated" if stated else "poses repeat worse than repeats in a row show"
         yield Advice(
             2,
-            f"The error left is larger than the instrument's noise explains: something is missing in the model, or {doubt}. See "
-            "the residuals against each joint; a trend there points to the cause.",
+            f"{MORE_THAN_NOISE}: something is missing in the model, or {doubt}. See the residuals against each joint; a trend "
+            "there points to the cause.",
         )
 
 

@@ -61,7 +61,7 @@ class Chain:
         """
         if path.exists():
             try:
-                chain = _read(path)
+                chain = Chain.read(path)
                 if chain.independent == independent and [kept.shape for kept in chain.ensembles] == number * [shape]:
                     say(f"resuming after {min(kept.iteration for kept in chain.ensembles)} steps")
                     return chain
@@ -73,6 +73,25 @@ class Chain:
         for ensemble in ensembles:
             ensemble.reset(*shape)
         return Chain(path, ensembles, independent)
+
+    @staticmethod
+    def read(path: Path) -> Chain:
+        """Return the chain in a file.
+
+        Raises:
+            OSError: it cannot be read.
+            ValueError: it was changed since it was written, or another version wrote it.
+        """
+        import h5py
+
+        content = path.read_bytes()
+        if content[:DIGEST] != _digest(content[DIGEST:]):
+            raise ValueError("its checksum is wrong, or it is not of this version")
+        with h5py.File(io.BytesIO(content), "r") as file:
+            if file.attrs["coordinates"] != COORDINATES:
+                raise ValueError("its walkers are in the coordinates of an earlier version")
+            ensembles = tuple(_loaded(file[f"ensemble{number}"]) for number in range(1, len(file) + 1))
+            return Chain(path, ensembles, float(file.attrs["independent"]))
 
     def save(self) -> None:
         """Write all steps so far to the file.
@@ -124,25 +143,6 @@ def _loaded(group: h5py.Group) -> Backend:
     for name in SAVED:
         setattr(ensemble, name, group[name][:])
     return ensemble
-
-
-def _read(path: Path) -> Chain:
-    """Return the chain in a file.
-
-    Raises:
-        OSError: it cannot be read.
-        ValueError: it was changed since it was written, or another version wrote it.
-    """
-    import h5py
-
-    content = path.read_bytes()
-    if content[:DIGEST] != _digest(content[DIGEST:]):
-        raise ValueError("its checksum is wrong, or it is not of this version")
-    with h5py.File(io.BytesIO(content), "r") as file:
-        if file.attrs["coordinates"] != COORDINATES:
-            raise ValueError("its walkers are in the coordinates of an earlier version")
-        ensembles = tuple(_loaded(file[f"ensemble{number}"]) for number in range(1, len(file) + 1))
-        return Chain(path, ensembles, float(file.attrs["independent"]))
 
 
 def _digest(content: bytes | memoryview) -> bytes:

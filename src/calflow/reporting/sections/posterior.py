@@ -22,6 +22,7 @@ from calflow.reporting.material import Material
 from calflow.reporting.section import Section
 from calflow.reporting.style import ACCENT, ALONE, DARK, LIGHT, WIDTH, figure, panels
 from calflow.robot.parts import Parameter
+from calflow.sampling.chain import Chain
 from calflow.sampling.log_posterior import LogPosterior, log_posterior_of
 from calflow.sampling.posterior import ChainSummary, PosteriorRow, told_by_prior
 
@@ -131,16 +132,12 @@ class ThinnedChain:
     @staticmethod
     def read(path: Path, material: Material) -> ThinnedChain:
         """Read the steps that the stage sample used, and rebuild the coordinates in which it sampled them."""
-        import h5py
-
         posterior, _ = log_posterior_of(material.sampled[0], material.data)
         summary = material.chain_summary
-        steps, discard = summary.steps, summary.burn_in_steps
-        stride = -(-steps // SHOWN_STEPS)
-        with h5py.File(path, "r") as file:
-            names = sorted(file, key=lambda name: (len(name), name))
-            walkers = np.array([file[name]["chain"][:steps:stride] for name in names])
-        return ThinnedChain(posterior, walkers, np.arange(0, steps, stride), discard)
+        shown = np.arange(0, summary.steps, -(-summary.steps // SHOWN_STEPS))
+        return ThinnedChain(
+            posterior, Chain.read(path).walkers(0, summary.steps)[:, shown], shown, summary.burn_in_steps
+        )
 
     def values(self, which: np.ndarray) -> np.ndarray:
         """Return these parameters [SI], the last one being the noise factor, shape (…, n_walkers, n_which)."""
