@@ -69,13 +69,12 @@ def test_what_a_fitted_frame_takes_away_is_not_promised():
     shared = np.concatenate([2e-3 * turned, np.tile(2e-3 * np.eye(3), (30, 1, 1)), bent], axis=2)
     table = pd.DataFrame({"pose": np.arange(30), "marker": "tool", "payload": "", "rows": 1})
     apart, each = np.full(30, np.sqrt(3) * noise), np.full(30, noise)
-    seen = Attained(table, place, {CALIBRATED: place}, shared, apart, each, np.full(30, np.nan), None)
-    fitted = np.array([True])
+    seen = Attained(table, place, {CALIBRATED: place}, shared, apart, each, np.full(30, np.nan), None, np.array([True]))
     draws = [
         replace(seen, measured=place + shared @ rng.standard_normal(9) + noise * rng.standard_normal((30, 3)))
         for _ in range(200)
     ]
-    found = np.sqrt(np.mean([one.errors(CALIBRATED, fitted) ** 2 for one in draws], axis=0).sum(axis=1))
-    np.testing.assert_allclose(seen.promised(fitted), found, rtol=0.3)
-    assert abs(np.sqrt((seen.promised(fitted) ** 2).mean()) / np.sqrt((found**2).mean()) - 1) < 0.1
-    assert seen.promised(~fitted).min() > 2e-3
+    found = np.sqrt(np.mean([one.errors(CALIBRATED) ** 2 for one in draws], axis=0).sum(axis=1))
+    np.testing.assert_allclose(seen.promised, found, rtol=0.3)
+    assert abs(np.sqrt((seen.promised**2).mean()) / np.sqrt((found**2).mean()) - 1) < 0.1
+    assert replace(seen, fitted=~seen.fitted).promised.min() > 2e-3

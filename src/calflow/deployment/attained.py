@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal
 
 import numpy as np
 
@@ -36,6 +38,10 @@ INSET = 0.8  # share of a diagonal between two poses, which are 10 % from either
 DIAGONAL, LONG, SHORT = np.sqrt([3.0, 2.0, 1.0])  # of a unit cube: space diagonal, face diagonal, edge
 TARGET = ("target_x", "target_y", "target_z")
 NOMINAL, CALIBRATED, FIGURES, COMMANDED = "nominal", "calibrated", "figures", "commanded"
+ELSEWHERE = 20e-3  # m: mean error above which the device stands elsewhere, as no calibrated robot errs so much
+NOT_FITTED = np.zeros(0, dtype=bool)  # before it is asked where the device stands
+
+Station = Literal["auto", "known", "fitted"]
 
 
 @dataclass(frozen=True)
@@ -52,11 +58,6 @@ class Alignment:
         centre, aim = share @ measured, share @ expected
         turn, _ = Rotation.align_vectors(expected - aim, measured - centre, weights=share)
         return Alignment(turn.as_matrix(), aim - turn.apply(centre))
-
-    @staticmethod
-    def none() -> Alignment:
-        """Return the identity."""
-        return Alignment(np.eye(3), np.zeros(3))
 
     def of(self, points: np.ndarray) -> np.ndarray:
         """Return points (n, 3) [m] transformed by the motion."""
@@ -170,6 +171,8 @@ class Attained:
     independent standard normals; apart (n,) [m]: standard deviation of the length of each point's independent error,
     device noise included; noise (n,) [m]: device noise per axis; repeatability (n,) [m]: RP; turns: orientations.
 
+    fitted (n_frames,): the sessions whose frame is fitted (see `standing`).
+
     Without measured positions (in_space) all of these are in `unit`: measured and expected are then relative to the
     calibrated model's prediction, with as many columns as a row has values, and there is no repeatability. taken: degrees
     of freedom of new objects (a socket, a surface), which these rows place; values: number of values of a pose, on average.
@@ -183,16 +186,23 @@ class Attained:
     noise: np.ndarray
     repeatability: np.ndarray
     turns: AttainedTurns | None
+    fitted: np.ndarray
     unit: MeasurementUnit = METRE
     in_space: bool = True
     taken: int = 0
     values: float = 3.0
 
     @staticmethod
-    def of(calibrated: CalibratedModel, data: Measurements, figures: FiguresAlone | None = None) -> Attained:
+    def of(
+        calibrated: CalibratedModel, data: Measurements, station: Station, figures: FiguresAlone | None = None
+    ) -> Attained:
         """Return the points of measured rows; the nominal model has the calibration's placement.
 
-        figures: those of the controller while measuring; their deviation from the calibrated model adds an error.
+        station: as of `validate`; figures: those of the controller while measuring; their deviation from the calibrated model adds
+        an error.
+
+        Raises:
+            InputError: a frame cannot be fitted.
         """
         if not data.has_positions:
             return Attained.in_its_unit(calibrated, data)
@@ -218,8 +228,8 @@ class Attained:
         return Attained(
             table, mean(data.position), expected, shared, np.sqrt(np.maximum(left, 0.0) + 3 * noise**2), noise,
             np.array([pose_repeatability(data.position[k]) for k in row_numbers]),
-            AttainedTurns.of(calibrated, estimates, data, rows, row_numbers),
-        )  # fmt: skip
+            AttainedTurns.of(calibrated, estimates, data, rows, row_numbers), NOT_FITTED,
+        ).standing(station)  # fmt: skip
 
     @staticmethod
     def in_its_unit(calibrated: CalibratedModel, data: Measurements) -> Attained:
@@ -244,9 +254,9 @@ class Attained:
         return Attained(
             table, -mean(off[CALIBRATED]), expected, np.zeros((len(table), off[CALIBRATED].shape[1], 0)),
             np.sqrt(variance + mean(values[rows, None])[:, 0] * of_device**2), of_device,
-            np.full(len(table), np.nan), None, unit, in_space=False,
+            np.full(len(table), np.nan), None, NOT_FITTED, unit, in_space=False,
             taken=found.taken, values=float(values.sum() / data.table["pose"].nunique()),
-        )  # fmt: skip
+        ).standing("known")  # fmt: skip
 
     @property
     def pose(self) -> np.ndarray:
@@ -260,70 +270,94 @@ class Attained:
             return np.zeros(len(self.table), dtype=int)
         return np.asarray(self.table.groupby("session", sort=False).ngroup())
 
-    def alignment(self, model: str, fitted: np.ndarray) -> tuple[Alignment, ...]:
-        """Return the motion of each session's points onto a model's; the identity where not fitted (n_frames,).
+    @cached_property
+    def of_sessions(self) -> tuple[np.ndarray, ...]:
+        """The mask (n,) of each session's points."""
+        return tuple(self.frame == k for k in range(self.frame.max() + 1))
+
+    @cached_property
+    def motions(self) -> tuple[Alignment | None, ...]:
+        """The motion of each session's points onto the calibrated robot's; None for too few points, or points on one line."""
+        return tuple(
+            Alignment.best(self.measured[rows], self.expected[CALIBRATED][rows])
+            if self.in_space and can_align(self.measured[rows])
+            else None
+            for rows in self.of_sessions
+        )
+
+    def standing(self, station: Station) -> Attained:
+        """Return the points with the frames fitted of those sessions in which the device stands elsewhere, or of all.
 
         Raises:
-            InputError: a session has too few poses, or they are collinear.
+            InputError: a frame is to be fitted to too few points, or to points on one line.
         """
-        alignments = []
-        for frame, wanted in enumerate(fitted):
-            rows = self.frame == frame
-            if not wanted:
-                alignments.append(Alignment.none())
-                continue
-            if not can_align(self.measured[rows]):
-                named = (
-                    f"session '{self.table['session'][rows].iloc[0]}' has" if "session" in self.table else "there are"
-                )
+        sessions = list(zip(self.sessions, self.motions, self.of_sessions, strict=True))
+        if station != "fitted" or not self.in_space:
+            far = [motion is not None and motion.moved(self.measured[rows]) > ELSEWHERE for _, motion, rows in sessions]
+            return replace(self, fitted=np.array(far) & (station == "auto"))
+        for name, motion, rows in sessions:
+            if motion is None:
+                named = f"session '{name}' has" if name else "there are"
                 raise refuse(
-                    f"the device's frame cannot be fitted: {named} {rows.sum()} points; expected at least {FEWEST_FOR_FRAME} that "
-                    "are not on one line, or say that the station stands where it stood (--station known)"
+                    f"the device's frame cannot be fitted: {named} {rows.sum()} points; "
+                    f"expected at least {FEWEST_FOR_FRAME} that are not on one line, or say that the station stands where it stood "
+                    "(--station known)"
                 )
-            alignments.append(Alignment.best(self.measured[rows], self.expected[model][rows]))
-        return tuple(alignments)
+        return replace(self, fitted=np.full(len(sessions), True))
 
-    def errors(self, model: str, fitted: np.ndarray) -> np.ndarray:
-        """Return measured minus expected points (n, 3) [m].
+    @property
+    def _refitted(self) -> list[np.ndarray]:
+        """The masks (n,) of the points of sessions whose frame is fitted."""
+        return [rows for rows, fitted in zip(self.of_sessions, self.fitted, strict=True) if fitted]
 
-        Where a session's frame is fitted, fitted (n_frames,), residuals are enlarged by `restored`.
-        """
+    def errors(self, model: str) -> np.ndarray:
+        """Return measured minus expected points (n, 3) [m]; what a fitted frame leaves is enlarged by `restored`."""
         errors = np.array(self.measured - self.expected[model])
-        alignments = self.alignment(model, fitted)
-        for frame in np.flatnonzero(fitted):
-            rows, alignment = self.frame == frame, alignments[frame]
-            left = alignment.of(self.measured[rows]) - self.expected[model][rows]
-            errors[rows] = restored(left, self.measured[rows])
+        for rows in self._refitted:
+            measured, expected = self.measured[rows], self.expected[model][rows]
+            errors[rows] = restored(Alignment.best(measured, expected).of(measured) - expected, measured)
         return errors
 
-    def promised(self, fitted: np.ndarray) -> np.ndarray:
-        """Return the standard deviation of the length of each point's calibrated error, as predicted (n,) [m].
+    @cached_property
+    def promised(self) -> np.ndarray:
+        """Standard deviation of the length of each point's calibrated error, as predicted (n,) [m].
 
-        In sessions whose frame is fitted, fitted (n_frames,), the rigid part of the shared errors is removed, and the
-        rest is enlarged as in `errors`.
+        In sessions whose frame is fitted the rigid part of the shared errors is removed, and the rest is enlarged as in `errors`.
         """
         shared = self.shared.copy()
-        for frame in np.flatnonzero(fitted):
-            rows = self.frame == frame
+        for rows in self._refitted:
             points = self.measured[rows]
             shared[rows] = restored(beside_motion(shared[rows], points), points)
         return np.asarray(np.sqrt((shared**2).sum(axis=(1, 2)) + self.apart**2))
 
-    def errors_of_further(self, model: str, fitted: np.ndarray) -> np.ndarray:
+    def errors_of_further(self, model: str) -> np.ndarray:
         """Return the errors (n, 3) [m] to expect at further poses; nan where no frame can be fitted without a pose."""
-        errors = self.errors(model, np.zeros_like(fitted))
-        for frame in np.flatnonzero(fitted):
-            rows = self.frame == frame
+        errors = np.array(self.measured - self.expected[model])
+        for rows in self._refitted:
             errors[rows] = errors_left_out(self.measured[rows], self.expected[model][rows], self.pose[rows])
         return errors
 
-    def of_rows(self, data: Measurements, fitted: np.ndarray) -> np.ndarray:
-        """Return for each row (n_rows,) the value of its session (n_frames,)."""
+    @property
+    def turned(self) -> np.ndarray:
+        """The rotation (n, 3, 3) of each point by its session's frame, the identity where that is not fitted."""
+        turned = np.tile(np.eye(3), (len(self.table), 1, 1))
+        for motion, rows, fitted in zip(self.motions, self.of_sessions, self.fitted, strict=True):
+            if motion and fitted:
+                turned[rows] = motion.turn
+        return turned
+
+    def is_refitted(self, data: Measurements) -> np.ndarray:
+        """Return whether the frame of each row's session is fitted, (n_rows,)."""
         if "session" not in data.table:
-            return np.full(len(data), fitted[0])
-        return np.asarray(
-            data.table["session"].astype(str).map(dict(zip(self.sessions, fitted, strict=True))), dtype=bool
-        )
+            return np.full(len(data), self.fitted[0])
+        by_session = dict(zip(self.sessions, self.fitted, strict=True))
+        return np.asarray(data.table["session"].astype(str).map(by_session), dtype=bool)
+
+    @property
+    def refitted_words(self) -> str:
+        """Words that name the sessions whose frames are fitted where others are not."""
+        names = [f"'{name}'" for name, fitted in zip(self.sessions, self.fitted, strict=True) if fitted]
+        return "" if self.fitted.all() else f" in session {', '.join(names)}"
 
     @property
     def sessions(self) -> tuple[str, ...]:
@@ -383,7 +417,9 @@ class AttainedTurns:
             np.stack([mean.as_matrix() for mean in means]), expected, np.stack([angle_repeatability(a) for a in about])
         )
 
-    def errors(self, model: str, frames: Sequence[Alignment], frame: np.ndarray) -> np.ndarray:
-        """Return rotation errors (n, 3) [rad], measured relative to expected, about the measuring frame's axes."""
-        turn = np.stack([frames[k].turn for k in frame])
+    def errors(self, model: str, turn: np.ndarray) -> np.ndarray:
+        """Return rotation errors (n, 3) [rad], measured relative to expected, about the measuring frame's axes.
+
+        turn (n, 3, 3): that of each point's frame, if it is fitted.
+        """
         return Rotation.from_matrix(turn @ self.measured @ self.expected[model].transpose(0, 2, 1)).as_rotvec()

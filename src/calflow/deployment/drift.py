@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from calflow.deployment.attained import Attained, beside_motion, can_align, rigid_slope
+from calflow.deployment.attained import ELSEWHERE, Attained, Station, beside_motion, can_align, rigid_slope
 from calflow.deployment.movements import (
     ANYWHERE,
     FALSE_ALARM,
@@ -27,7 +27,7 @@ from calflow.deployment.movements import (
     remaining_error_p,
     searched,
 )
-from calflow.deployment.validation import ELSEWHERE, OF_THE_SAME, Station, of_sessions, stands
+from calflow.deployment.validation import OF_THE_SAME
 from calflow.design.candidates import candidates
 from calflow.design.optimality import ParameterCriterion
 from calflow.design.search import greedy
@@ -101,8 +101,7 @@ def _rest(check: CheckProblem, k: int, station: Station) -> CheckProblem | None:
     same[k] = False
     if not same.any() or (station == "fitted" and not can_align(check.points[same])):
         return None
-    attained = Attained.of(check.calibrated, left)
-    return CheckProblem.of(check.calibrated, left, attained.of_rows(left, stands(attained, station)[0]))
+    return CheckProblem.of(check.calibrated, left, Attained.of(check.calibrated, left, station).is_refitted(left))
 
 
 def settling(
@@ -328,10 +327,9 @@ def drift(
     check_payload_stated(calibrated.model, calibrated.payloads, data.payload_stated)
     given = data.stating([*AT_REST, *calibrated.inputs]).given
     calibrated = calibrated.later(given, data)
-    attained = Attained.of(calibrated, data)
-    stood, _ = stands(attained, station)
-    fitted = bool(stood.all())  # where some frames are known, they tell of the robot's foot
-    rows = attained.of_rows(data, stood)
+    attained = Attained.of(calibrated, data, station)
+    fitted = bool(attained.fitted.all())  # where some frames are known, they tell of the robot's foot
+    rows = attained.is_refitted(data)
     check = CheckProblem.of(calibrated, data, rows)
     every = movements(calibrated, data, not fitted)
     rng = np.random.default_rng(seed)
@@ -351,10 +349,10 @@ def drift(
     )
     summary = DriftSummary(
         status=status, false_alarm=false_alarm, family_p=steps[0].family_p, unexplained_p=rest, poses=len(check.points),
-        sessions=check.sessions, station="fitted" if stood.any() else "known", error_mm=1e3 * float(check.size().mean()),
+        sessions=check.sessions, station="fitted" if rows.any() else "known", error_mm=1e3 * float(check.size().mean()),
         left_mm=1e3 * float(left.mean()), expected_mm=1e3 * float(np.sqrt(np.trace(_still(check, rows)) / len(check.points))),
         unseen_mm=1e3 * unseen, usual_mm=1e3 * usual, chance=chance,
-        notes=(*data.notes, *_notes(calibrated, data, attained, stood), *([doubt] if doubt else [])),
+        notes=(*data.notes, *_notes(calibrated, data, attained), *([doubt] if doubt else [])),
     )  # fmt: skip
     return Drift(
         tuple(_moved(step, check) for step in significant), tuple(row for movement in best for row in _recalibrated(movement)),
@@ -467,18 +465,18 @@ def _to_measure(robot: Robot, readings: np.ndarray, payload: str, marker: str) -
     return tuple(SettlingPose(readings=row, payload=payload, marker=marker) for row in rows)
 
 
-def _notes(calibrated: CalibratedModel, data: Measurements, attained: Attained, fitted: np.ndarray) -> list[str]:
+def _notes(calibrated: CalibratedModel, data: Measurements, attained: Attained) -> list[str]:
     notes = [
         f"without {need.columns} nothing is known of {', '.join(need.effects)} here: "
         f"the test is less sharp by {rounded(need.spread_mm)} mm"
         for need in calibrated.needed
         if need.condition not in data.given
     ]
-    if fitted.any() and not fitted.all():
+    if attained.fitted.any() and not attained.fitted.all():
         notes.append(
-            f"the device's frame was fitted{of_sessions(attained, fitted)}, where it stood elsewhere, and in no other"
+            f"the device's frame was fitted{attained.refitted_words}, where it stood elsewhere, and in no other"
         )
-    elif fitted.any():
+    elif attained.fitted.any():
         notes.append(
             "the device's frame was fitted to the check poses: nothing can be said of the robot's foot or the zero of an axis "
             "that turns all of it"

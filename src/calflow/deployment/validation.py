@@ -13,12 +13,12 @@ from calflow.deployment.attained import (
     CALIBRATED,
     COMMANDED,
     CYCLES,
+    ELSEWHERE,
     FREEDOM,
     NOMINAL,
     TARGET,
-    Alignment,
     Attained,
-    can_align,
+    Station,
     cube_edge,
 )
 from calflow.deployment.figures_alone import FiguresAlone
@@ -35,12 +35,10 @@ from calflow.measurements.measurements import Measurements
 CONFIDENCE = 0.95  # default of a verdict, and level of intervals
 ONE_SIDED = 1.645  # standard deviations of the noise by which a pose must exceed a tolerance to count as beyond
 OF_THE_SAME = "are these rows of the robot, base, tool, units and signs that were calibrated?"
-ELSEWHERE = 20e-3  # m: mean error above which the device stands elsewhere, as no calibrated robot errs so much
 COORDINATES = 3  # of a position
 MOVED_P = 0.01  # p-value below which a rigid motion of all points is noted
 
 
-Station = Literal["auto", "known", "fitted"]
 Status = Literal["met", "not met", "cannot be told", "no tolerance"]
 Judged = Literal["nominal", "calibrated", "figures", "commanded"]
 Sent = Literal["corrected commands", "program filter", "controller figures"]
@@ -228,11 +226,11 @@ def validate(
     # Wander and delay of the device are in its readings, not in the robot's pose: predicted where time and speeds are stated.
     given = data.stating([*AT_REST, *calibrated.inputs]).given
     stated = calibrated.later(given, data)
-    attained = Attained.of(stated, data, figures)
+    attained = Attained.of(stated, data, station, figures)
     _check_tolerance(tolerance, attained.unit)
     field_notes = of_field(stated, stated.conditions_of(data))
     judged: Judged = "commanded" if COMMANDED in attained.expected else "calibrated" if figures is None else "figures"
-    compared = _Comparison(attained, judged, *stands(attained, station))
+    compared = _Comparison(attained, judged)
     noise = calibrated.noise(data).typical(attained.unit) if calibrated.noise_known else None
     summary = _summary(compared, noise, rows=len(data), sent=sent, task=task, confidence=confidence)
     if tolerance is not None:
@@ -267,87 +265,59 @@ def _check_tolerance(tolerance: float | None, unit: MeasurementUnit) -> None:
         raise refuse(f"expected more than 0{most}, found {unit.shown(tolerance):g}", key="tolerance")
 
 
-def stands(attained: Attained, station: Station) -> tuple[np.ndarray, tuple[Alignment, ...]]:
-    """Return whether each session's frame is to be fitted (n_frames,), and the motions onto the calibrated robot's.
-
-    A session with too few points has no motion, and counts as known unless all are to be fitted.
-    """
-    of_frame = [attained.frame == k for k in range(attained.frame.max() + 1)]
-    if not attained.in_space:  # a frame is fitted to positions alone
-        return np.zeros(len(of_frame), dtype=bool), ()
-    able = np.array([station == "fitted" or can_align(attained.measured[rows]) for rows in of_frame])
-    frames = attained.alignment(CALIBRATED, able)
-    if station == "fitted":
-        return able, frames
-    far = np.array([frame.moved(attained.measured[rows]) for frame, rows in zip(frames, of_frame, strict=True)])
-    return (far > ELSEWHERE) & (station == "auto"), frames if able.all() else ()
-
-
-def of_sessions(attained: Attained, fitted: np.ndarray) -> str:
-    """Return words that name the sessions whose frames are fitted where others are not."""
-    names = [f"'{name}'" for name, is_fitted in zip(attained.sessions, fitted, strict=True) if is_fitted]
-    return "" if fitted.all() else f" in session {', '.join(names)}"
-
-
 @dataclass(frozen=True)
 class _Comparison:
-    """Attained points beside each model's, the frames of some sessions being fitted (n_frames,).
-
-    frames: motions of all sessions onto the calibrated robot's points; empty where a session has too few.
-    """
+    """Attained points beside each model's."""
 
     attained: Attained
     judged: Judged
-    fitted: np.ndarray
-    frames: tuple[Alignment, ...]
 
     @cached_property
     def error(self) -> dict[str, np.ndarray]:
         """Measured minus expected points (n, 3) of each model, in the unit of measurement."""
-        return {model: self.attained.errors(model, self.fitted) for model in self.attained.expected}
+        return {model: self.attained.errors(model) for model in self.attained.expected}
 
     @cached_property
     def size(self) -> dict[str, np.ndarray]:
         """Distances (n,) of each model."""
         return {model: np.linalg.norm(errors, axis=1) for model, errors in self.error.items()}
 
-    @cached_property
-    def promised(self) -> np.ndarray:
-        """Predicted standard deviation of each point's distance (n,)."""
-        return self.attained.promised(self.fitted)
-
     @property
     def freedom_lost(self) -> int:
         """Degrees of freedom of the fitted frames, and of new objects."""
-        return FREEDOM * int(self.fitted.sum()) + self.attained.taken
+        return FREEDOM * int(self.attained.fitted.sum()) + self.attained.taken
 
     def further(self, model: str) -> Errors:
         """Return the predictive distribution of further poses' largest errors; what is fitted counts as fewer poses."""
-        size = np.linalg.norm(self.attained.errors_of_further(model, self.fitted), axis=1)
-        fewer = int(self.fitted.sum()) + int(np.ceil(self.attained.taken / self.attained.values))
-        return Errors.of(self.attained.by_pose(size, "max"), fewer)
+        attained = self.attained
+        size = np.linalg.norm(attained.errors_of_further(model), axis=1)
+        fewer = int(attained.fitted.sum()) + int(np.ceil(attained.taken / attained.values))
+        return Errors.of(attained.by_pose(size, "max"), fewer)
 
     @property
     def motions(self) -> list[tuple[float, float]]:
-        """Mean displacement [m] and rotation [rad] of each fitted frame; of all frames where none is fitted."""
-        asked = self.fitted if self.fitted.any() else np.full(len(self.fitted), bool(self.frames))
-        alignments = self.attained.alignment(CALIBRATED, asked)
+        """Mean displacement [m] and rotation [rad] of each fitted frame; of all frames where none is fitted and all can be."""
+        attained = self.attained
+        asked = (
+            attained.fitted if attained.fitted.any() else np.full(len(attained.fitted), None not in attained.motions)
+        )
         return [
-            (alignments[k].moved(self.attained.measured[self.attained.frame == k]), alignments[k].angle)
-            for k in np.flatnonzero(asked)
+            (motion.moved(attained.measured[rows]), motion.angle)
+            for motion, rows, wanted in zip(attained.motions, attained.of_sessions, asked, strict=True)
+            if wanted and motion
         ]
 
     @cached_property
     def moved_p(self) -> float | None:
         """The p-value of the reduction of errors by a rigid motion (F test); None where a frame moved, or cannot be fitted."""
-        if not self.frames or self.fitted.any():
+        attained, error = self.attained, self.error[CALIBRATED]
+        frames = [motion for motion in attained.motions if motion]
+        if len(frames) < len(attained.motions) or attained.fitted.any():
             return None
-        error = self.error[CALIBRATED]
         left = np.empty_like(error)
-        for k, frame in enumerate(self.frames):
-            rows = self.attained.frame == k
-            left[rows] = frame.of(self.attained.measured[rows]) - self.attained.expected[CALIBRATED][rows]
-        taken, rest = FREEDOM * len(self.frames), COORDINATES * len(error) - FREEDOM * len(self.frames)
+        for rows, frame in zip(attained.of_sessions, frames, strict=True):
+            left[rows] = frame.of(attained.measured[rows]) - attained.expected[CALIBRATED][rows]
+        taken, rest = FREEDOM * len(frames), COORDINATES * len(error) - FREEDOM * len(frames)
         squares, remaining = float((error**2).sum()), float((left**2).sum())
         if rest <= 0 or remaining <= 0:
             return 1.0
@@ -373,9 +343,9 @@ class _Comparison:
 
     def points(self, tolerance: float | None) -> tuple[ValidatedPose, ...]:
         """Return one row per point."""
-        attained, size, shown, sd = self.attained, self.size, self.attained.unit.shown, self.promised
-        frames, turns = attained.alignment(CALIBRATED, self.fitted), attained.turns
-        turned = turns.errors(CALIBRATED, frames, attained.frame) if turns else None
+        attained, size, turns = self.attained, self.size, self.attained.turns
+        shown, sd = attained.unit.shown, attained.promised
+        turned = turns.errors(CALIBRATED, attained.turned) if turns else None
         rows = []
         for k, labels in enumerate(attained.table.to_dict("records")):
             dx, dy, dz = (attained.position_in_mm(value) for value in self.error[self.judged][k][:3])
@@ -400,9 +370,9 @@ class _Comparison:
     def notes(self) -> list[str]:
         """Notes on assumptions and anomalies."""
         notes = []
-        if self.fitted.any():
+        if self.attained.fitted.any():
             notes.append(
-                f"the device stood elsewhere than in the calibration{of_sessions(self.attained, self.fitted)}: its frame was "
+                f"the device stood elsewhere than in the calibration{self.attained.refitted_words}: its frame was "
                 f"fitted to these points, which took {self.freedom_lost} degrees of freedom; where the robot stands is not judged"
             )
         elif self.moved_p is not None and self.moved_p < MOVED_P:
@@ -434,9 +404,9 @@ def _summary(
     compared: _Comparison, noise: float | None, *, rows: int, sent: Sent | None, task: int | None, confidence: float
 ) -> ValidationSummary:
     """Return the summary without a verdict; noise: the device's, of a row, per axis."""
-    attained, fitted = compared.attained, compared.fitted
+    attained, fitted = compared.attained, compared.attained.fitted
     shown, in_mm = attained.unit.shown, attained.in_mm
-    motions, promised = compared.motions, float(np.sqrt(np.mean(compared.promised**2)))
+    motions, promised = compared.motions, float(np.sqrt(np.mean(attained.promised**2)))
     first = np.unique(attained.pose, return_index=True)[1]  # point of each pose
     return ValidationSummary(
         status="no tolerance", judged=compared.judged, sent=sent, tolerance_mm=None, confidence=confidence,
