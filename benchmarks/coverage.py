@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from calflow.estimation.accuracy import errors
-from calflow.estimation.calibrated_model import CalibratedModel, position_variance
+from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.model_tables import calibrated, identified
 from calflow.faults import corrected
 from calflow.measurements.measurements import Measurements
@@ -57,7 +57,7 @@ class Coverage:
 def coverage(known: CalibratedModel, data: Measurements) -> Coverage:
     """Return that of the held-out rows, by their parameters', discrepancy's and device's variance."""
     own = data.only(data.held_out)
-    variance = position_variance(known, own.conditions)
+    variance = known.position_variance(own.conditions)
     if known.noise_known:  # else the noise is in already
         variance = variance + known.noise(own).sigma[:, None] ** 2
     return Coverage(errors(known.model, known.estimate, own) / np.sqrt(variance))

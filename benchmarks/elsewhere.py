@@ -38,7 +38,6 @@ from scipy.spatial.transform import Rotation
 
 import calflow as cf
 from calflow.deployment.prediction import Prediction, predict_rows
-from calflow.estimation.calibrated_model import shared_errors
 from calflow.estimation.smooth_functions import Wandering
 from calflow.measurements.measurements import Measurements
 from calflow.study import load_study
@@ -165,7 +164,7 @@ def placed_anew(known: cf.Calibration, data: Measurements, used: Array) -> Row:
     turn, marker = known.model.rotation(known.estimate, data.conditions), data.table["marker"].to_numpy()
     noise = known.noise(data).sigma if known.noise_known else np.zeros(len(data))
     design = _placing(prediction.position, turn, marker)
-    spread = shared_errors(known, data.conditions).reshape(len(design), -1)
+    spread = known.shared_errors(data.conditions).reshape(len(design), -1)
     rest = np.maximum(prediction.sd**2 - (spread**2).sum(axis=1).reshape(-1, 3), 0) + noise[:, None] ** 2
     flat = np.repeat(used, 3)
     judged = flat if used.all() else ~flat

@@ -11,7 +11,6 @@ from real_data import columns
 
 from calflow.calibration import Calibration
 from calflow.deployment.prediction import on_conditions_of
-from calflow.estimation.calibrated_model import field_correction
 from calflow.estimation.field_gain import gainful_field
 from calflow.estimation.identification import fit_effects
 from calflow.measurements.measurements import Measurements
@@ -63,9 +62,7 @@ class Calflow:
         def positions(rows: Measurements) -> np.ndarray:
             known = on_conditions_of(Calibration.load(folder / "run"), rows)
             packed = counted(rows, train).on(known.model.robot).conditions
-            return known.model.position(known.estimate, packed) + field_correction(
-                known, packed
-            )  # as the device saw it
+            return known.model.position(known.estimate, packed) + known.field_correction(packed)  # as the device saw it
 
         return Fitted(positions, float(seconds.read_text(encoding="utf-8")))
 
@@ -100,7 +97,7 @@ class GeometryField:
 
         def positions(rows: Measurements) -> np.ndarray:
             packed = rows.on(known.model.robot).conditions
-            return known.model.position(known.estimate, packed) + field_correction(known, packed)
+            return known.model.position(known.estimate, packed) + known.field_correction(packed)
 
         return positions
 

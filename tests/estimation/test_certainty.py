@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calflow.estimation.calibrated_model import gain_is_certain, position_variance
 from calflow.estimation.error_model import ErrorModel
 from calflow.estimation.identification import fit_effects
 from calflow.estimation.noise import PerUnit
@@ -30,7 +29,7 @@ def data():
 def test_what_the_model_leaves_is_in_its_certainty(data):
     """Fails if positions are said to be certain to the parameters alone where the fit leaves ten times the noise."""
     known = fit_effects(replace(data, table=data.table.assign(sigma=SIGMA)), ("geometry",), starts=1).known
-    sd = np.sqrt(position_variance(known, data.conditions))
+    sd = np.sqrt(known.position_variance(data.conditions))
     assert known.discrepancy[METRE] == pytest.approx(2e-4, rel=0.2)
     assert np.sqrt((sd**2).mean()) > 0.95 * known.discrepancy[METRE]  # what is smooth in it is not alike everywhere
     assert (sd > 0.9 * known.discrepancy[METRE]).all()
@@ -40,7 +39,7 @@ def test_what_the_model_leaves_is_in_its_certainty(data):
 def test_a_noise_that_only_the_fit_tells_is_in_it_too(data):
     """Fails if an incomplete model looks certain because its errors pass for noise."""
     known = fit_effects(data, ("geometry",), starts=1).known
-    assert (np.sqrt(position_variance(known, data.conditions)) > 1.5e-4).all()
+    assert (np.sqrt(known.position_variance(data.conditions)) > 1.5e-4).all()
 
 
 def test_a_gain_is_certain_where_the_correction_is_told_whatever_else_is_not(data):
@@ -55,4 +54,4 @@ def test_a_gain_is_certain_where_the_correction_is_told_whatever_else_is_not(dat
         told = replace(
             known, estimate=moved, covariance=np.diag(variance), errors=ErrorModel.white(PerUnit(), len(names))
         )
-        assert (gain_is_certain(told, data.conditions) == certain).all()
+        assert (told.gain_is_certain(data.conditions) == certain).all()

@@ -13,7 +13,6 @@ from numpy.testing import assert_allclose
 
 from calflow.estimation import calibrated_model as certainty
 from calflow.estimation import least_squares
-from calflow.estimation.calibrated_model import parameter_variance
 from calflow.estimation.fit import Fit, IntraclassLikelihood, fit, fit_to_all
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.leverage import Studentised, left_out
@@ -110,10 +109,10 @@ def test_predictions_take_no_jacobian_of_all_rows(small, monkeypatch):
     known = calibration(result.model, result.estimate, result.covariance, at_bound=result.at_bound)
     conditions = {k: np.tile(data.conditions, (1, k)) for k in TIMES}
     monkeypatch.setattr(certainty, "PART_ROWS", ALL)
-    whole = parameter_variance(known, conditions[TIMES[0]])
+    whole = known.parameter_variance(conditions[TIMES[0]])
     monkeypatch.setattr(certainty, "PART_ROWS", FEW)
-    assert_allclose(parameter_variance(known, conditions[TIMES[0]]), whole, rtol=1e-9)
-    assert growth(lambda k: parameter_variance(known, conditions[k]), len(data)) < 8 * 3 * len(result.estimate) / 2
+    assert_allclose(known.parameter_variance(conditions[TIMES[0]]), whole, rtol=1e-9)
+    assert growth(lambda k: known.parameter_variance(conditions[k]), len(data)) < 8 * 3 * len(result.estimate) / 2
 
 
 def growth(done: Callable[[int], object], n_rows: int) -> float:

@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 
 from calflow.deployment.validation import validate
 from calflow.estimation.accuracy import distances, errors
-from calflow.estimation.calibrated_model import errors_in_unit, rotation_variance
 from calflow.estimation.certainty import promised_limits
 from calflow.estimation.identification import fit_effects
 from calflow.files.units import METRE
@@ -72,7 +71,7 @@ def test_a_length_is_promised_by_parameters_and_functions_given_the_data():
     covariance = np.linalg.inv(fitted.T @ fitted / (left + NOISE**2) + prior)
     off = slopes @ np.append(known.errors.offset, known.errors.mean)
     expected = np.einsum("ni,ij,nj->n", slopes, covariance, slopes) + left + off**2
-    given = errors_in_unit(known, data, METRE).variance[:, 0]
+    given = known.errors_in_unit(data, METRE).variance[:, 0]
     assert given == pytest.approx(expected, rel=0.05)
 
 
@@ -124,7 +123,7 @@ def test_a_turn_is_as_sure_as_parameters_and_functions_together():
         found = fit_effects(data, ("geometry",), starts=1)
         known, conditions = found.known, found.data.conditions
         off = turned.swapaxes(1, 2) @ known.model.rotation(known.estimate, conditions)
-        sd = np.sqrt(rotation_variance(known, conditions))
+        sd = np.sqrt(known.rotation_variance(conditions))
         away.append((Rotation.from_matrix(off).as_rotvec() / sd)[there])
     off = np.concatenate(away)
     assert (np.abs(off) < 1.96).mean() > 0.9

@@ -21,7 +21,6 @@ from calflow.effects import catalogue
 from calflow.effects.cause import Cause
 from calflow.effects.wording import NamedCause
 from calflow.estimation.accuracy import Accuracy
-from calflow.estimation.calibrated_model import with_maps_held
 from calflow.estimation.certainty import Certainty
 from calflow.estimation.error_model import ErrorModel, error_table
 from calflow.estimation.model_tables import AlternativeParameter, FitSummary, calibrated, effect_table, identified
@@ -327,7 +326,7 @@ def _curves(told: list[Found], pose: pd.Series, split: pd.Series) -> pd.DataFram
 def with_sample(given: Context, steps: int = 40) -> Context:
     """The context with tables as the stage sample makes them, and a chain of independent draws."""
     known = calibrated(given.study.robot, given.results, given.study.measurements().given)
-    sampled = [parameter.name for parameter in with_maps_held(known)[0].model.parameters]
+    sampled = [parameter.name for parameter in known.with_maps_held()[0].model.parameters]
     parameters = RunOutcome(given.results).fitted_parameters.table
     parameters = parameters[parameters["parameter"].isin(sampled)]
     n = len(parameters) + 1

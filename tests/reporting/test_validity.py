@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calflow.estimation.calibrated_model import position_variance
 from calflow.files.words import mm
 from calflow.reporting.material import Material
 from calflow.reporting.sections.validity import Promised, over_the_workspace
@@ -29,7 +28,7 @@ def test_the_figures_are_those_of_predictions(material: Material) -> None:
     known = material.calibrated
     at = known.model.point(known.estimate, material.data.conditions)
     near = np.linalg.norm(shown.place[:, None] - at, axis=2).min(axis=1)
-    inside = np.sqrt(position_variance(known, material.data.conditions).sum(axis=1))
+    inside = np.sqrt(known.position_variance(material.data.conditions).sum(axis=1))
     assert shown.error[near < np.quantile(near, 0.1)].mean() < 3 * inside.mean()
     assert 0 < shown.outside.mean() < 1
     assert f"{mm(1e3 * np.median(shown.error))} mm at half of the poses" in shown.words

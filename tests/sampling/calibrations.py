@@ -16,7 +16,6 @@ import numpy as np
 import calflow as cf
 from calflow.design.candidates import candidates, packed_conditions
 from calflow.estimation.accuracy import errors
-from calflow.estimation.calibrated_model import position_variance
 from calflow.estimation.progress import draws
 from calflow.model import Model, build
 from calflow.robot.parts import Marker
@@ -164,7 +163,7 @@ def compared(case: Case, design: Design, known: cf.Calibration, drawn: Posterior
     ranks = rank(np.hstack(values), np.concatenate(truth))
     sd = np.sqrt(np.diag(known.covariance))
     free = ~known.at_bound
-    variance = position_variance(known, further.conditions)
+    variance = known.position_variance(further.conditions)
     if known.noise_known:
         variance = variance + known.noise(further).sigma[:, None] ** 2
     return Told(

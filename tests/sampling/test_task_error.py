@@ -7,7 +7,6 @@ import pytest
 from scipy.stats import chi
 
 from calflow.deployment.compensation import turn_sd
-from calflow.estimation.calibrated_model import position_variance
 from calflow.sampling.task_points import PointErrors, TaskTolerances, point_errors, task_summary, task_table
 
 TEN = TaskTolerances(tolerance=10.0)
@@ -65,7 +64,7 @@ def test_true_errors_are_as_large_as_was_said(calibrations):
 def test_draws_and_the_fits_covariance_agree(calibrations):
     """Fails if what the model lacks is left out of either, or orientations are not the draws': errors here are nearly normal."""
     for _, _, known, task, found in calibrations[:4]:
-        expected = np.sqrt(position_variance(known, task.conditions))
+        expected = np.sqrt(known.position_variance(task.conditions))
         np.testing.assert_allclose(found.sd[0], expected, rtol=0.25)
         np.testing.assert_allclose(np.median(found.sd[1] / turn_sd(known, task.conditions)), 1.0, atol=0.15)
 

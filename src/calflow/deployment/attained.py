@@ -15,13 +15,7 @@ import numpy as np
 
 from calflow.deployment.figures_alone import FiguresAlone
 from calflow.estimation.accuracy import judged_unit
-from calflow.estimation.calibrated_model import (
-    CalibratedModel,
-    errors_in_unit,
-    expected_point,
-    position_variance,
-    shared_errors,
-)
+from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.noise import conditions, members
 from calflow.files.deferred import Rotation, pd
 from calflow.files.problems import refuse
@@ -212,14 +206,14 @@ class Attained:
         estimates = {NOMINAL: calibrated.model.nominal, CALIBRATED: calibrated.estimate}
         expected = {
             NOMINAL: mean(calibrated.model.point(calibrated.model.nominal, rows)),
-            CALIBRATED: mean(expected_point(calibrated, rows)),
+            CALIBRATED: mean(calibrated.expected_point(rows)),
         }
         if TARGET[0] in data.table:
             expected[COMMANDED] = mean(data.table[[*TARGET]].to_numpy(dtype=float))
         noise = np.sqrt(np.bincount(group, weights=np.nan_to_num(calibrated.device_sigma(data)) ** 2)) / count
-        every = shared_errors(calibrated, rows)
+        every = calibrated.shared_errors(rows)
         shared = mean(every.reshape(len(every), -1)).reshape(-1, *every.shape[1:])
-        left = mean(position_variance(calibrated, rows)).sum(axis=1) - (shared**2).sum(axis=(1, 2))
+        left = mean(calibrated.position_variance(rows)).sum(axis=1) - (shared**2).sum(axis=(1, 2))
         if figures is not None:
             model = replace(figures.model.later(data), given=calibrated.model.given)
             expected[FIGURES] = mean(model.point(figures.estimate, rows))
@@ -236,8 +230,8 @@ class Attained:
         """Return the points of the series that report in the unit in which their model is judged."""
         unit = unit_of(data)
         stated = data.stating(calibrated.model.given)
-        found = errors_in_unit(calibrated, stated, unit)
-        nominal = errors_in_unit(replace(calibrated, estimate=calibrated.model.nominal), stated, unit).error
+        found = calibrated.errors_in_unit(stated, unit)
+        nominal = replace(calibrated, estimate=calibrated.model.nominal).errors_in_unit(stated, unit).error
         there = np.isfinite(found.error)
         values = there.sum(axis=1)
         rows = values > 0

@@ -23,14 +23,7 @@ from calflow.deployment.inverse_kinematics import (
     room,
 )
 from calflow.deployment.prediction import Missing, StatedModel, as_stated, of_field, rows_at
-from calflow.estimation.calibrated_model import (
-    CalibratedModel,
-    expected_point,
-    field_correction,
-    position_variance,
-    rotation_variance,
-    untold_turns,
-)
+from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.needed_conditions import HOW_TO_GO_ON
 from calflow.files.deferred import Rotation, pd
 from calflow.files.problems import MOST_TOLD, Problem, nearest, refuse, refuse_any
@@ -90,7 +83,7 @@ def base_placement(calibrated: CalibratedModel, conditions: np.ndarray) -> np.nd
 
 def turn_sd(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
     """Return the standard deviations of the tool's rotation about its own axes (n_rows, 3) [rad]."""
-    return np.sqrt(rotation_variance(calibrated, conditions))
+    return np.sqrt(calibrated.rotation_variance(conditions))
 
 
 def not_known(calibrated: CalibratedModel, conditions: np.ndarray) -> list[str]:
@@ -105,7 +98,7 @@ def not_known(calibrated: CalibratedModel, conditions: np.ndarray) -> list[str]:
         f"no orientation was measured, positions only: targets turn the frame of link {robot.n_joints}, {turned}; how the tool "
         "sits on it is not checked"
     ]
-    untold = untold_turns(calibrated, few)
+    untold = calibrated.untold_turns(few)
     problems += [
         f"the tool's turn about its own {axis} is known to {1e3 * typical[k]:.2g} mrad only, which is an assumption about "
         "robots like this: only measured orientations would show it"
@@ -325,7 +318,7 @@ def _judged(
 
     def misses(conditions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         rotation = model.rotation(calibrated.estimate, conditions) if oriented else None
-        lacking = targets.lacking(expected_point(calibrated, conditions), rotation)
+        lacking = targets.lacking(calibrated.expected_point(conditions), rotation)
         return np.linalg.norm(lacking[:, :3], axis=1), np.linalg.norm(lacking[:, 3:], axis=1)
 
     data = _led(stated, landed.readings, ways).data
@@ -354,10 +347,10 @@ def _judged(
     ]  # fmt: skip
     return Compensation(
         landed.readings, remaining, turned, landed.reached,
-        np.sqrt(position_variance(calibrated, data.conditions) + stated.widened),
+        np.sqrt(calibrated.position_variance(data.conditions) + stated.widened),
         turn_sd(calibrated, data.conditions) if oriented else None,
         start, nominal_miss, nominal_turned, clear, data, tuple(notes),
-        field_correction(calibrated, data.conditions) if calibrated.field else None,
+        calibrated.field_correction(data.conditions) if calibrated.field else None,
     )  # fmt: skip
 
 

@@ -32,7 +32,7 @@ from calflow.design.candidates import candidates
 from calflow.design.optimality import ParameterCriterion
 from calflow.design.search import greedy
 from calflow.design.t_optimality import Pair, TCriterion, propose
-from calflow.estimation.calibrated_model import CalibratedModel, shared_errors
+from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.needed_conditions import AT_REST, check_payload_stated
 from calflow.files.problems import InputError, refuse
 from calflow.files.tables import StoredResults, column
@@ -147,10 +147,10 @@ def _left_open(
     These are the calibration's uncertain errors, each of standard deviation 1, and a fitted device frame.
     """
     calibrated = replace(check.calibrated, alternatives=())
-    before = shared_errors(calibrated, calibrated.conditions_of(check.data))
+    before = calibrated.shared_errors(calibrated.conditions_of(check.data))
     together = np.einsum("nm,mai->nai", check.share, before)
     seen = together.reshape(len(check.error), -1) / np.sqrt(np.repeat(check.own, 3))[:, None]
-    new = shared_errors(bare, conditions) / sigma
+    new = bare.shared_errors(conditions) / sigma
     if fitted:  # the further poses are measured in a frame of their own
         frame = rigid_slope(bare.model.point(calibrated.estimate, conditions)) * ANYWHERE / sigma
         seen = np.hstack([seen, np.zeros((len(seen), 6))])

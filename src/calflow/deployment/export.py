@@ -19,7 +19,7 @@ from calflow.deployment.conventions import nearest_vector
 from calflow.deployment.figures_alone import GIVEN, Effort, FiguresAlone, Levels, beyond_figures, is_of_figures
 from calflow.design.candidates import candidates
 from calflow.effects import Effect
-from calflow.estimation.calibrated_model import CalibratedModel, expected_point
+from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.residual_field import NOT_PHYSICAL
 from calflow.files.deferred import Rotation
 from calflow.files.problems import refuse
@@ -103,14 +103,14 @@ def cost_together(calibrated: CalibratedModel, robot: Robot, conditions: np.ndar
     others = beyond_figures(calibrated.model)
     names = list(dict.fromkeys(effect.id for effect in others)) + [FIELD] * bool(calibrated.field)
     bare = _points(calibrated.model, robot, conditions)
-    return (cost_without(" and ".join(names), others, expected_point(calibrated, conditions), bare),)
+    return (cost_without(" and ".join(names), others, calibrated.expected_point(conditions), bare),)
 
 
 def cost_of_each(calibrated: CalibratedModel, robot: Robot, conditions: np.ndarray) -> tuple[NotExported, ...]:
     """Return the cost of leaving out all that figures cannot hold, then of each effect alone; none where they hold all."""
     model, p = calibrated.model, calibrated.estimate
     others = beyond_figures(model)
-    every = expected_point(calibrated, conditions)
+    every = calibrated.expected_point(conditions)
     costs = [cost_without(EVERYTHING, (), every, _points(model, robot, conditions))]
     for name in dict.fromkeys(effect.id for effect in others):
         of_name = [effect for effect in others if effect.id == name]

@@ -16,7 +16,7 @@ import numpy as np
 
 from calflow.effects import Effect
 from calflow.estimation.accuracy import distances, errors, judged_unit
-from calflow.estimation.calibrated_model import CalibratedModel, promised_variance
+from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.fit import fit_sharing
 from calflow.estimation.noise import PerUnit, representative
 from calflow.estimation.parameters import FittedParameter, Parameters
@@ -207,7 +207,7 @@ def _judged(
     held = bool(data.held_out.any())
     rows = data.only(data.held_out if held else data.train)
     unit = judged_unit(leading_units(rows))
-    variance = promised_variance(calibrated, rows, unit).sum(axis=1)
+    variance = calibrated.promised_variance(rows, unit).sum(axis=1)
     off = {level: errors(model, estimate, rows) for level, (model, estimate) in models.items()}
     levels = []
     for level, error in off.items():

@@ -22,7 +22,7 @@ from calflow.effects.geometry import Geometry
 from calflow.effects.misstated_payload import PayloadMass
 from calflow.effects.thermal_growth import ThermalGrowth
 from calflow.effects.warming import REFERENCE
-from calflow.estimation.calibrated_model import CalibratedModel, shared_errors
+from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.noise import conditions
 from calflow.files.deferred import pd
 from calflow.files.problems import refuse
@@ -225,7 +225,7 @@ class CheckProblem:
         table = data.table.iloc[first].reset_index(drop=True)
         session = date[first]
         points, seen = share @ model.point(calibrated.estimate, rows), share @ data.position
-        together = np.einsum("nm,mai->nai", share, shared_errors(calibrated, rows)).reshape(3 * len(first), -1)
+        together = np.einsum("nm,mai->nai", share, calibrated.shared_errors(rows)).reshape(3 * len(first), -1)
         variance = (share**2) @ calibrated.device_sigma(data) ** 2 + calibrated.errors.rest[METRE] ** 2
         variance += sum((need.spread_mm / 1e3) ** 2 for need in calibrated.needed if need.condition not in data.given)
         covariance = together @ together.T + np.diag(np.repeat(variance, 3))

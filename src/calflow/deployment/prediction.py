@@ -9,13 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calflow.estimation.calibrated_model import (
-    CalibratedModel,
-    expected_point,
-    field_correction,
-    position_variance,
-    readings,
-)
+from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.needed_conditions import HOW_TO_GO_ON, check_payload_stated, check_stated
 from calflow.estimation.residual_field import NOT_PHYSICAL
 from calflow.files.deferred import pd
@@ -103,10 +97,10 @@ def predict_rows(calibrated: CalibratedModel, data: Measurements, missing: Missi
     """
     stated = as_stated(calibrated, data, missing)
     conditions = stated.data.conditions
-    position = expected_point(stated.calibrated, conditions)
-    variance = position_variance(stated.calibrated, conditions) + stated.widened
+    position = stated.calibrated.expected_point(conditions)
+    variance = stated.calibrated.position_variance(conditions) + stated.widened
     notes = (*standing(calibrated), *stated.notes, *of_field(stated.calibrated, conditions), *beyond_limits(data))
-    field = field_correction(calibrated, conditions) if calibrated.field else None
+    field = calibrated.field_correction(conditions) if calibrated.field else None
     return Prediction(position, np.sqrt(variance), notes, field)
 
 
@@ -114,8 +108,8 @@ def of_field(calibrated: CalibratedModel, conditions: np.ndarray) -> list[str]:
     """Return notes on the residual field at packed rows (n_conditions, n_rows); empty where the model has none."""
     if calibrated.field is None:
         return []
-    size = 1e3 * np.linalg.norm(field_correction(calibrated, conditions), axis=1)
-    faded = int((calibrated.field.share(readings(calibrated, conditions)) < 1).sum())
+    size = 1e3 * np.linalg.norm(calibrated.field_correction(conditions), axis=1)
+    faded = int((calibrated.field.share(conditions[: calibrated.model.robot.n_joints].T) < 1).sum())
     beyond = (
         f"; {faded} of {len(size)} rows are beyond the measured joint ranges, where it fades to nothing"
         if faded

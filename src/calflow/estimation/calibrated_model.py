@@ -124,6 +124,10 @@ class CalibratedModel:
         return frozenset(need.condition for need in self.needed).union(self.errors.inputs, *of_alternatives)
 
     @property
+    def _fitted(self) -> tuple[Model, np.ndarray]:
+        return self.model, self.estimate
+
+    @property
     def noise_known(self) -> bool:
         """Whether any series' noise is known independently of the fit."""
         return any(device.source != "estimated" for device in self.device)
@@ -162,29 +166,194 @@ class CalibratedModel:
             intraclass=self.intraclass,
         )  # fmt: skip
 
+    def with_maps_held(self) -> tuple[CalibratedModel, tuple[Cause, ...]]:
+        """Return the model conditional on its causes with very many parameters, held at their estimates, and these causes."""
+        model, whole = self.model, self.covariance
+        held = [effect for effect in model.effects if isinstance(effect, Cause) and len(model.columns(effect)) > MANY]
+        if not held:
+            return self, ()
+        values = {effect: tuple(map(float, self.estimate[model.columns(effect)])) for effect in held}
+        effects = tuple(Carried(e.robot, e, values[e]) if e in values else e for e in model.effects)
+        gone = np.concatenate([*map(model.columns, held)])
+        kept, free = np.setdiff1d(np.arange(len(whole)), gone), gone[~self.at_bound[gone]]
+        given = whole[np.ix_(kept, free)] @ np.linalg.solve(whole[np.ix_(free, free)], whole[np.ix_(free, kept)])
+        lean = replace(
+            self,
+            model=replace(model, effects=effects),
+            estimate=self.estimate[kept],
+            covariance=whole[np.ix_(kept, kept)] - given,
+            at_bound=self.at_bound[kept],
+            errors=replace(self.errors, slope=self.errors.slope[:, kept], offset=self.errors.offset[kept]),
+        )
+        return lean, tuple(held)
 
-def with_maps_held(calibrated: CalibratedModel) -> tuple[CalibratedModel, tuple[Cause, ...]]:
-    """Return the model conditional on its causes with very many parameters, held at their estimates, and these causes."""
-    model, whole = calibrated.model, calibrated.covariance
-    held = [effect for effect in model.effects if isinstance(effect, Cause) and len(model.columns(effect)) > MANY]
-    if not held:
-        return calibrated, ()
-    values = {effect: tuple(map(float, calibrated.estimate[model.columns(effect)])) for effect in held}
-    effects = tuple(Carried(e.robot, e, values[e]) if e in values else e for e in model.effects)
-    gone = np.concatenate([*map(model.columns, held)])
-    kept, free = np.setdiff1d(np.arange(len(whole)), gone), gone[~calibrated.at_bound[gone]]
-    given = whole[np.ix_(kept, free)] @ np.linalg.solve(whole[np.ix_(free, free)], whole[np.ix_(free, kept)])
-    lean = replace(
-        calibrated,
-        model=replace(model, effects=effects),
-        estimate=calibrated.estimate[kept],
-        covariance=whole[np.ix_(kept, kept)] - given,
-        at_bound=calibrated.at_bound[kept],
-        errors=replace(
-            calibrated.errors, slope=calibrated.errors.slope[:, kept], offset=calibrated.errors.offset[kept]
-        ),
-    )
-    return lean, tuple(held)
+    def position_variance(self, conditions: np.ndarray) -> np.ndarray:
+        """Return the predictive variance of each row's position per axis, shape (n_rows, 3) [m²].
+
+        It is the sum of the variances by the parameters, by the choice of the model and by the model's smooth errors given the data
+        at that place and time (with a residual field, by the field instead). Noise estimated from the fit itself is included.
+        """
+        of_choice = (choice_errors(self.alternatives, *self._fitted, points_at(conditions)) ** 2).sum(axis=2)
+        if self.field:
+            return np.asarray(of_choice + self.parameter_variance(conditions) + self.left_variance(conditions))
+        every = (self.errors.slopes(*self._fitted, part) for part in _some(conditions))
+        smooth = [(self.errors.shared(slopes, self.covariance) ** 2).sum(axis=2) for slopes in every]
+        return of_choice + np.concatenate(smooth) + self.errors.rest[METRE] ** 2
+
+    def shared_errors(self, conditions: np.ndarray) -> np.ndarray:
+        """Return the errors that rows share, as factors (n_rows, 3, n) [m] of n independent standard normals.
+
+        They hold the errors of the parameters, the smooth errors and the choice of the model, without a residual field; the squares
+        add up to `position_variance` less the part that is independent from row to row.
+        """
+        smooth = self.errors.shared(self.errors.slopes(*self._fitted, conditions), self.covariance)
+        return np.concatenate([smooth, choice_errors(self.alternatives, *self._fitted, points_at(conditions))], axis=2)
+
+    def parameter_variance(self, conditions: np.ndarray) -> np.ndarray:
+        """Return the variance of each row's position per axis (n_rows, 3) [m²] by the parameters' covariance.
+
+        It includes the parameters' offset beside smooth errors (see `ErrorModel`) unless there is a residual field, which corrects
+        it.
+        """
+        parts = np.array_split(conditions, range(PART_ROWS, conditions.shape[1], PART_ROWS), axis=1)
+        covariance = self.errors.about_mean(self.covariance) if self.field else self.covariance
+        slopes = (self.model.point_jacobian(self.estimate, part) for part in parts)
+        return np.concatenate([np.maximum(of_parameters(slope, covariance), 0.0) for slope in slopes])
+
+    def left_variance(self, conditions: np.ndarray) -> np.ndarray:
+        """Return the variance of position errors beyond those by the parameters and the choice of the model [m²].
+
+        Shape (n_rows, 3), or (n_rows, 1) for all axes. Smooth errors and parameters are negatively correlated where rows were
+        measured: this is the joint variance less the parameters', for use beside independent draws of the parameters.
+        """
+        if self.field:
+            return np.asarray(self.field.variance(self._readings(conditions))[:, None])
+        return self._variances((self.errors.slopes(*self._fitted, part) for part in _some(conditions)), METRE)[1]
+
+    def _variances(self, every: Iterable[np.ndarray], unit: MeasurementUnit) -> tuple[np.ndarray, np.ndarray]:
+        """Return variances by parameters and smooth errors, and the part beyond the parameters', (n_rows, n_axes) [unit²].
+
+        every: derivatives of some rows at a time, as for `ErrorModel.shared`.
+        """
+        covariance, rest, parts = self.covariance, self.errors.rest[unit] ** 2, list[tuple[np.ndarray, np.ndarray]]()
+        for slopes in every:
+            whole = (self.errors.shared(slopes, covariance) ** 2).sum(axis=2)
+            alone = of_parameters(slopes[:, :, : len(covariance)], covariance)
+            parts.append((whole + rest, np.maximum(whole - alone, 0.0) + rest))
+        wholes, left = zip(*parts, strict=True)
+        return np.concatenate(wholes), np.concatenate(left)
+
+    def expected_point(self, conditions: np.ndarray) -> np.ndarray:
+        """Return the predicted positions of the markers (n_rows, 3) [m], with the residual field's correction if there is one."""
+        return self.model.point(self.estimate, conditions) + self.field_correction(conditions)
+
+    def field_correction(self, conditions: np.ndarray) -> np.ndarray:
+        """Return the residual field's correction of positions, shape (n_rows, 3) [m]; zero without a field."""
+        return self.field.correction(self._readings(conditions)) if self.field else np.zeros((conditions.shape[1], 3))
+
+    def _readings(self, conditions: np.ndarray) -> np.ndarray:
+        """Return the joint readings (n_rows, n_joints) of packed conditions."""
+        return np.asarray(conditions[: self.model.robot.n_joints].T)
+
+    def rotation_variance(self, conditions: np.ndarray) -> np.ndarray:
+        """Return the predictive variance of each row's orientation about the tool's axes, shape (n_rows, 3) [rad²].
+
+        It is by parameters and smooth errors, as that of positions. Rotations that the data do not determine have the variance of
+        their priors (see `untold_turns`).
+        """
+        return self._rotation_variances(conditions)[0]
+
+    def left_rotation_variance(self, conditions: np.ndarray) -> np.ndarray:
+        """Return the part of it beyond that by the parameters, as `left_variance` that of positions."""
+        return self._rotation_variances(conditions)[1]
+
+    def _rotation_variances(self, conditions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        slopes = (self.errors.slopes_of_rotations(*self._fitted, part) for part in _some(conditions))
+        return self._variances(slopes, RADIAN)
+
+    def untold_turns(self, conditions: np.ndarray) -> np.ndarray:
+        """Return the share (3,) of the variance of the tool's rotation about its axes that the data leave to the priors.
+
+        It is the share of those directions of the parameters, scaled by their priors, whose posterior variance is more than
+        UNMEASURED of the prior's; mean over the rows.
+        """
+        sd = self.model.prior_sd
+        left, directions = np.linalg.eigh(self.covariance / np.outer(sd, sd))
+        turned = self.model.rotation_jacobian(self.estimate, conditions) @ (sd[:, None] * directions)
+        parts = (turned**2).mean(axis=0) * np.maximum(left, 0.0)
+        total = parts.sum(axis=1)
+        return np.asarray(np.divide(parts[:, left > UNMEASURED].sum(axis=1), total, out=np.zeros(3), where=total > 0))
+
+    def promised_variance(self, data: Measurements, unit: MeasurementUnit) -> np.ndarray:
+        """Return the predictive variance of each row's errors along each axis, including the device's noise.
+
+        Shape (n_rows, n_axes) [unit²]; 0 where a row has no value in the unit. data must have the conditions that the model needs.
+        """
+        device = self.device_sigma(data)[:, None] ** 2
+        if self.field:
+            return np.asarray(self.position_variance(data.conditions) + device)
+        found = self.errors_in_unit(data, unit)
+        return np.where(np.isfinite(found.error), found.variance + device, 0.0)
+
+    def errors_in_unit(self, data: Measurements, unit: MeasurementUnit) -> ErrorsInUnit:
+        """Return the errors of rows in a unit.
+
+        An object that the model lacks (a socket, a surface) is placed by its own rows. Their errors are what that fit leaves,
+        divided by the root of one minus the leverage (MacKinnon and White 1985, HC2); nan for a value that its object's place
+        follows alone.
+        """
+        model, estimate = completed(self.model, self.estimate, data)
+        error, smooth = errors(model, estimate, data, unit), self.errors
+        names = [parameter.name for parameter in model.parameters]
+        known = [names.index(parameter.name) for parameter in self.model.parameters]
+        new = np.setdiff1d(np.arange(len(names)), known)
+        basis = np.zeros((*error.shape, 0))
+        if len(new):
+            placing = error_jacobian(model, estimate, data, unit)[:, :, new] * model.prior_sd[new]
+            ways, size, _ = np.linalg.svd(placing.reshape(error.size, -1), full_matrices=False)
+            basis = ways[:, size > RANK * size.max(initial=0.0)].reshape(*error.shape, -1)
+        share = 1.0 - (basis**2).sum(axis=2)
+        root = np.sqrt(np.where(share > RANK, share, np.nan))
+        columns = [*known, *range(len(names), len(names) + len(smooth.sd))]
+        parts = [np.arange(len(data)) // ROWS == k for k in range(max(1, -(-len(data) // ROWS)))]
+
+        def slopes(rows: np.ndarray) -> np.ndarray:
+            return smooth.slopes_of_values(model, estimate, data.only(rows), unit)[:, :, columns]
+
+        # What moves an object's rows alike moves the object with them.
+        along = np.zeros((basis.shape[2], len(columns)))
+        for rows in parts if basis.shape[2] else ():
+            along += np.einsum("nak,nam->km", basis[rows], slopes(rows))
+        every = (np.nan_to_num((slopes(rows) - basis[rows] @ along) / root[rows, :, None]) for rows in parts)
+        whole, left = self._variances(every, unit)
+        choice = choice_errors(self.alternatives, model, estimate, lambda m, p: errors(m, p, data, unit))
+        of_choice = np.nan_to_num((choice / root[:, :, None]) ** 2).sum(axis=2)
+        return ErrorsInUnit(error / root, whole + of_choice, left, basis.shape[2])
+
+    def promised_distance(self, conditions: np.ndarray) -> np.ndarray:
+        """Return the predictive standard deviation of positions: root mean square distance, shape (n_rows,) [m]."""
+        return np.asarray(np.sqrt(self.position_variance(conditions).sum(axis=1)))
+
+    def distance_moved(self, conditions: np.ndarray) -> np.ndarray:
+        """Return the distance between nominal and calibrated prediction, shape (n_rows,) [m]."""
+        moved = self.model.point(self.model.nominal, conditions) - self.expected_point(conditions)
+        return np.asarray(np.linalg.norm(moved, axis=1))
+
+    def gain_is_certain(self, conditions: np.ndarray) -> np.ndarray:
+        """Return where the calibrated model's error is smaller than the nominal's almost certainly: a mask, shape (n_rows,).
+
+        Both share what no measurement told. The calibrated error is the larger one where, along the correction, it is beyond half
+        of it. Errors are taken as normal, without a residual field.
+        """
+        alone = replace(self, field=None)
+        gained = [np.zeros(0, dtype=bool)]
+        for part in _some(conditions):
+            moved = self.model.point(self.model.nominal, part) - alone.expected_point(part)
+            size = np.linalg.norm(moved, axis=1)
+            along = (np.einsum("na,nak->nk", moved, alone.shared_errors(part)) ** 2).sum(axis=1)
+            sd = np.sqrt(along + (size * self.errors.rest[METRE]) ** 2)  # times the size
+            gained.append(0.5 * size**2 > scipy.special.ndtri(CERTAIN) * sd)
+        return np.concatenate(gained)
 
 
 def series_noise(noise: Noise, growth: tuple[float, float] | None = None) -> tuple[SeriesNoise, ...]:
@@ -197,127 +366,9 @@ def series_noise(noise: Noise, growth: tuple[float, float] | None = None) -> tup
     return tuple(devices)
 
 
-def position_variance(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
-    """Return the predictive variance of each row's position per axis, shape (n_rows, 3) [m²].
-
-    It is the sum of the variances by the parameters, by the choice of the model and by the model's smooth errors given the data at
-    that place and time (with a residual field, by the field instead). Noise estimated from the fit itself is included.
-    """
-    model, estimate, errors_of = calibrated.model, calibrated.estimate, calibrated.errors
-    of_choice = (choice_errors(calibrated.alternatives, model, estimate, points_at(conditions)) ** 2).sum(axis=2)
-    if calibrated.field:
-        return np.asarray(
-            of_choice + parameter_variance(calibrated, conditions) + left_variance(calibrated, conditions)
-        )
-    every = (errors_of.slopes(model, estimate, part) for part in _some(conditions))
-    smooth = [(errors_of.shared(slopes, calibrated.covariance) ** 2).sum(axis=2) for slopes in every]
-    return of_choice + np.concatenate(smooth) + errors_of.rest[METRE] ** 2
-
-
-def shared_errors(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
-    """Return the errors that rows share, as factors (n_rows, 3, n) [m] of n independent standard normals.
-
-    They hold the errors of the parameters, the smooth errors and the choice of the model, without a residual field; the squares
-    add up to `position_variance` less the part that is independent from row to row.
-    """
-    model, estimate, errors_of = calibrated.model, calibrated.estimate, calibrated.errors
-    smooth = errors_of.shared(errors_of.slopes(model, estimate, conditions), calibrated.covariance)
-    choice = choice_errors(calibrated.alternatives, model, estimate, points_at(conditions))
-    return np.concatenate([smooth, choice], axis=2)
-
-
 def _some(conditions: np.ndarray) -> list[np.ndarray]:
     """Return packed conditions in parts, so that memory does not grow with the rows."""
     return np.array_split(conditions, range(ROWS, conditions.shape[1], ROWS), axis=1)
-
-
-def parameter_variance(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
-    """Return the variance of each row's position per axis (n_rows, 3) [m²] by the parameters' covariance.
-
-    It includes the parameters' offset beside smooth errors (see `ErrorModel`) unless there is a residual field, which corrects it.
-    """
-    parts = np.array_split(conditions, range(PART_ROWS, conditions.shape[1], PART_ROWS), axis=1)
-    covariance = calibrated.errors.about_mean(calibrated.covariance) if calibrated.field else calibrated.covariance
-    slopes = (calibrated.model.point_jacobian(calibrated.estimate, part) for part in parts)
-    return np.concatenate([np.maximum(of_parameters(slope, covariance), 0.0) for slope in slopes])
-
-
-def left_variance(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
-    """Return the variance of position errors beyond those by the parameters and the choice of the model [m²].
-
-    Shape (n_rows, 3), or (n_rows, 1) for all axes. Smooth errors and parameters are negatively correlated where rows were measured:
-    this is the joint variance less the parameters', for use beside independent draws of the parameters.
-    """
-    if calibrated.field:
-        return np.asarray(calibrated.field.variance(readings(calibrated, conditions))[:, None])
-    model, estimate = calibrated.model, calibrated.estimate
-    whole, alone = _with_and_without(
-        calibrated, (calibrated.errors.slopes(model, estimate, part) for part in _some(conditions))
-    )
-    return np.maximum(whole - alone, 0.0) + calibrated.errors.rest[METRE] ** 2
-
-
-def _with_and_without(calibrated: CalibratedModel, every: Iterable[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Return variances (n_rows, n_axes) with and without smooth errors, by parts of derivatives as for `ErrorModel.shared`."""
-    covariance, parts = calibrated.covariance, list[tuple[np.ndarray, np.ndarray]]()
-    for slopes in every:
-        whole = (calibrated.errors.shared(slopes, covariance) ** 2).sum(axis=2)
-        parts.append((whole, of_parameters(slopes[:, :, : len(covariance)], covariance)))
-    wholes, alone = zip(*parts, strict=True)
-    return np.concatenate(wholes), np.concatenate(alone)
-
-
-def expected_point(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
-    """Return the predicted positions of the markers (n_rows, 3) [m], with the residual field's correction if there is one."""
-    return calibrated.model.point(calibrated.estimate, conditions) + field_correction(calibrated, conditions)
-
-
-def field_correction(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
-    """Return the residual field's correction of positions, shape (n_rows, 3) [m]; zero without a field."""
-    return (
-        calibrated.field.correction(readings(calibrated, conditions))
-        if calibrated.field
-        else np.zeros((conditions.shape[1], 3))
-    )
-
-
-def readings(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
-    """Return the joint readings (n_rows, n_joints) of packed conditions."""
-    return np.asarray(conditions[: calibrated.model.robot.n_joints].T)
-
-
-def rotation_variance(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
-    """Return the predictive variance of each row's orientation about the tool's axes, shape (n_rows, 3) [rad²].
-
-    It is by parameters and smooth errors, as that of positions. Rotations that the data do not determine have the variance of their
-    priors (see `untold_turns`).
-    """
-    return _of_rotations(calibrated, conditions)[0] + calibrated.errors.rest[RADIAN] ** 2
-
-
-def left_rotation_variance(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
-    """Return the part of it beyond that by the parameters, as `left_variance` that of positions."""
-    whole, alone = _of_rotations(calibrated, conditions)
-    return np.maximum(whole - alone, 0.0) + calibrated.errors.rest[RADIAN] ** 2
-
-
-def _of_rotations(calibrated: CalibratedModel, conditions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    slopes, at = calibrated.errors.slopes_of_rotations, (calibrated.model, calibrated.estimate)
-    return _with_and_without(calibrated, (slopes(*at, part) for part in _some(conditions)))
-
-
-def untold_turns(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
-    """Return the share (3,) of the variance of the tool's rotation about its axes that the data leave to the priors.
-
-    It is the share of those directions of the parameters, scaled by their priors, whose posterior variance is more than
-    UNMEASURED of the prior's; mean over the rows.
-    """
-    sd = calibrated.model.prior_sd
-    left, directions = np.linalg.eigh(calibrated.covariance / np.outer(sd, sd))
-    turned = calibrated.model.rotation_jacobian(calibrated.estimate, conditions) @ (sd[:, None] * directions)
-    parts = (turned**2).mean(axis=0) * np.maximum(left, 0.0)
-    total = parts.sum(axis=1)
-    return np.asarray(np.divide(parts[:, left > UNMEASURED].sum(axis=1), total, out=np.zeros(3), where=total > 0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -333,79 +384,3 @@ class ErrorsInUnit:
     variance: np.ndarray
     left: np.ndarray
     taken: int
-
-
-def promised_variance(calibrated: CalibratedModel, data: Measurements, unit: MeasurementUnit) -> np.ndarray:
-    """Return the predictive variance of each row's errors along each axis, including the device's noise.
-
-    Shape (n_rows, n_axes) [unit²]; 0 where a row has no value in the unit. data must have the conditions that the model needs.
-    """
-    device = calibrated.device_sigma(data)[:, None] ** 2
-    if calibrated.field:
-        return np.asarray(position_variance(calibrated, data.conditions) + device)
-    found = errors_in_unit(calibrated, data, unit)
-    return np.where(np.isfinite(found.error), found.variance + device, 0.0)
-
-
-def errors_in_unit(calibrated: CalibratedModel, data: Measurements, unit: MeasurementUnit) -> ErrorsInUnit:
-    """Return the errors of rows in a unit.
-
-    An object that the model lacks (a socket, a surface) is placed by its own rows. Their errors are what that fit leaves, divided
-    by the root of one minus the leverage (MacKinnon and White 1985, HC2); nan for a value that its object's place follows alone.
-    """
-    model, estimate = completed(calibrated.model, calibrated.estimate, data)
-    error, smooth = errors(model, estimate, data, unit), calibrated.errors
-    names = [parameter.name for parameter in model.parameters]
-    known = [names.index(parameter.name) for parameter in calibrated.model.parameters]
-    new = np.setdiff1d(np.arange(len(names)), known)
-    basis = np.zeros((*error.shape, 0))
-    if len(new):
-        placing = error_jacobian(model, estimate, data, unit)[:, :, new] * model.prior_sd[new]
-        left, size, _ = np.linalg.svd(placing.reshape(error.size, -1), full_matrices=False)
-        basis = left[:, size > RANK * size.max(initial=0.0)].reshape(*error.shape, -1)
-    share = 1.0 - (basis**2).sum(axis=2)
-    root = np.sqrt(np.where(share > RANK, share, np.nan))
-    columns = [*known, *range(len(names), len(names) + len(smooth.sd))]
-    parts = [np.arange(len(data)) // ROWS == k for k in range(max(1, -(-len(data) // ROWS)))]
-
-    def slopes(rows: np.ndarray) -> np.ndarray:
-        return smooth.slopes_of_values(model, estimate, data.only(rows), unit)[:, :, columns]
-
-    # What moves an object's rows alike moves the object with them.
-    along = np.zeros((basis.shape[2], len(columns)))
-    for rows in parts if basis.shape[2] else ():
-        along += np.einsum("nak,nam->km", basis[rows], slopes(rows))
-    every = (np.nan_to_num((slopes(rows) - basis[rows] @ along) / root[rows, :, None]) for rows in parts)
-    whole, alone = _with_and_without(calibrated, every)
-    choice = choice_errors(calibrated.alternatives, model, estimate, lambda m, p: errors(m, p, data, unit))
-    rest = smooth.rest[unit] ** 2
-    of_choice = np.nan_to_num((choice / root[:, :, None]) ** 2).sum(axis=2)
-    return ErrorsInUnit(error / root, whole + of_choice + rest, np.maximum(whole - alone, 0.0) + rest, basis.shape[2])
-
-
-def promised_distance(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
-    """Return the predictive standard deviation of positions: root mean square distance, shape (n_rows,) [m]."""
-    return np.asarray(np.sqrt(position_variance(calibrated, conditions).sum(axis=1)))
-
-
-def distance_moved(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
-    """Return the distance between nominal and calibrated prediction, shape (n_rows,) [m]."""
-    moved = calibrated.model.point(calibrated.model.nominal, conditions) - expected_point(calibrated, conditions)
-    return np.asarray(np.linalg.norm(moved, axis=1))
-
-
-def gain_is_certain(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
-    """Return where the calibrated model's error is smaller than the nominal's almost certainly: a mask, shape (n_rows,).
-
-    Both share what no measurement told. The calibrated error is the larger one where, along the correction, it is beyond half of
-    it. Errors are taken as normal, without a residual field.
-    """
-    alone = replace(calibrated, field=None)
-    gained = [np.zeros(0, dtype=bool)]
-    for part in _some(conditions):
-        moved = calibrated.model.point(calibrated.model.nominal, part) - expected_point(alone, part)
-        size = np.linalg.norm(moved, axis=1)
-        along = (np.einsum("na,nak->nk", moved, shared_errors(alone, part)) ** 2).sum(axis=1)
-        sd = np.sqrt(along + (size * calibrated.errors.rest[METRE]) ** 2)  # times the size
-        gained.append(0.5 * size**2 > scipy.special.ndtri(CERTAIN) * sd)
-    return np.concatenate(gained)

@@ -8,14 +8,7 @@ from typing import Literal
 import numpy as np
 import scipy
 
-from calflow.estimation.calibrated_model import (
-    CalibratedModel,
-    gain_is_certain,
-    parameter_variance,
-    position_variance,
-    promised_distance,
-    promised_variance,
-)
+from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.noise import representative
 from calflow.files.deferred import pd
 from calflow.files.tables import column
@@ -96,8 +89,8 @@ class Certainty:
         judged = (data.held_out if held else data.train) & there
         some = data.conditions[:, np.flatnonzero(judged)[representative(data.only(judged))]]
         every = data.conditions[:, representative(data)]
-        gained = gain_is_certain(calibrated, every)
-        variances = (of_rows(calibrated, some) for of_rows in (parameter_variance, position_variance))
+        gained = calibrated.gain_is_certain(every)
+        variances = (calibrated.parameter_variance(some), calibrated.position_variance(some))
         model_sd, prediction_sd = (1e3 * float(np.sqrt(variance.sum(axis=1).mean())) for variance in variances)
         noise = calibrated.noise(data)
         mean = MEAN_OF_NOISE[np.array([kinds.count(kinds[0]) for kinds in units])[data.series_number]]
@@ -130,7 +123,7 @@ def then_and_later(calibrated: CalibratedModel, data: Measurements) -> tuple[flo
     rows = fitted.only(representative(fitted)).stating(calibrated.model.given)
     end = float(fitted.table["time"].max())
     moments = (rows, *(replace(rows, table=rows.table.assign(time=end + seconds)) for seconds in LATER))
-    errors = (promised_distance(calibrated, moment.conditions) for moment in moments)
+    errors = (calibrated.promised_distance(moment.conditions) for moment in moments)
     return tuple(1e3 * float(np.sqrt((error**2).mean())) for error in errors)
 
 
@@ -157,7 +150,7 @@ def promised_limits(calibrated: CalibratedModel, data: Measurements) -> np.ndarr
     The sum of squared normal errors along axes is approximated by a gamma variable of equal mean and variance (Satterthwaite 1946).
     """
     unit = calibrated.unit
-    variance = promised_variance(calibrated, data, unit)
+    variance = calibrated.promised_variance(data, unit)
     total = variance.sum(axis=1)
     freedom = total**2 / np.where(total > 0, (variance**2).sum(axis=1), np.nan)
     return np.asarray(unit.shown(np.sqrt(total * scipy.special.chdtri(freedom, 1 - PROMISED) / freedom)))

@@ -8,7 +8,7 @@ import numpy as np
 import scipy
 
 from calflow.estimation.accuracy import errors
-from calflow.estimation.calibrated_model import CalibratedModel, field_correction, promised_variance
+from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.leverage import halved
 from calflow.estimation.noise import conditions
 from calflow.estimation.progress import SAME, Draws
@@ -188,8 +188,8 @@ def _accuracy(
 
 def _judged(correction: str, calibrated: CalibratedModel, data: Measurements, error: np.ndarray) -> FieldAccuracy:
     """Return the accuracy at held-out rows of a model, corrected by its field if it has one; error (n, 3) [m] is uncorrected."""
-    off = error + field_correction(calibrated, data.conditions)
-    covered = float((np.abs(off) < CERTAIN * np.sqrt(promised_variance(calibrated, data, METRE))).mean())
+    off = error + calibrated.field_correction(data.conditions)
+    covered = float((np.abs(off) < CERTAIN * np.sqrt(calibrated.promised_variance(data, METRE))).mean())
     return _row(correction, "holdout", np.linalg.norm(off, axis=1), covered)
 
 

@@ -15,7 +15,7 @@ from calflow.deployment.run_outcome import RunOutcome
 from calflow.effects.cause import Cause
 from calflow.effects.geometry import Geometry
 from calflow.estimation.accuracy import errors
-from calflow.estimation.calibrated_model import CalibratedModel, with_maps_held
+from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.certainty import errors_in, tested_rows
 from calflow.estimation.model_tables import ModelObservation
 from calflow.estimation.registration import in_measuring_frame
@@ -80,7 +80,7 @@ class Material(RunOutcome):
     @cached_property
     def sampled(self) -> tuple[CalibratedModel, tuple[Cause, ...]]:
         """The model from which the stage sample drew, and the causes fixed at their estimates."""
-        return with_maps_held(self.calibrated)
+        return self.calibrated.with_maps_held()
 
     @property
     def title(self) -> str:

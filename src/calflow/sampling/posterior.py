@@ -15,7 +15,7 @@ import numpy as np
 import scipy
 
 from calflow.estimation.accuracy import distances, errors, errors_of_draws, judged_unit
-from calflow.estimation.calibrated_model import CalibratedModel, Quantity, errors_in_unit, offsets
+from calflow.estimation.calibrated_model import CalibratedModel, Quantity, offsets
 from calflow.estimation.parameters import UNIT
 from calflow.estimation.progress import Draws
 from calflow.files.deferred import pd
@@ -244,7 +244,7 @@ def _quantiles(deviation: np.ndarray, level: np.ndarray, sigma: np.ndarray, rng:
 
 def _remaining_sd(calibrated: CalibratedModel, data: Measurements, unit: MeasurementUnit) -> np.ndarray:
     """Return the sd of errors not due to parameters or choice of model, noise included, (n_rows, 3) in the unit judged."""
-    held = np.sqrt(calibrated.device_sigma(data)[:, None] ** 2 + errors_in_unit(calibrated, data, unit).left)
+    held = np.sqrt(calibrated.device_sigma(data)[:, None] ** 2 + calibrated.errors_in_unit(data, unit).left)
     return np.where(data.held_out[:, None], held, calibrated.noise(data).total[:, None])
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calflow.estimation.calibrated_model import CalibratedModel, with_maps_held
+from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
 from calflow.files.problems import refuse
 from calflow.measurements.measurements import Measurements
@@ -46,7 +46,7 @@ def sample(
     Raises:
         InputError: there are too few walkers.
     """
-    calibrated, held = with_maps_held(calibrated)
+    calibrated, held = calibrated.with_maps_held()
     if held:
         say(f"held at their estimates, too many to sample: {', '.join(f'{c.id} {c.part}' for c in held)}")
     data = data.on(calibrated.model.robot)

@@ -11,13 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calflow.estimation.calibrated_model import (
-    CalibratedModel,
-    Quantity,
-    expected_point,
-    left_rotation_variance,
-    left_variance,
-)
+from calflow.estimation.calibrated_model import CalibratedModel, Quantity
 from calflow.estimation.error_model import of_parameters
 from calflow.estimation.extrapolation import beyond
 from calflow.files.deferred import pd
@@ -121,12 +115,12 @@ def point_errors(
     position = errors(
         lambda model, p: model.point(p, conditions),
         Model.point_jacobian,
-        factor * left_variance(calibrated, conditions) + widened,
+        factor * calibrated.left_variance(conditions) + widened,
     )
     turn = errors(
         _turn_from(calibrated, conditions),
         Model.rotation_jacobian,
-        factor * left_rotation_variance(calibrated, conditions),
+        factor * calibrated.left_rotation_variance(conditions),
     )
     return PointErrors(*map(np.stack, zip(position, turn, strict=True)))
 
@@ -212,7 +206,7 @@ def task_table(
     calibrated: CalibratedModel, task: Measurements, measured: Measurements, errors: PointErrors, asked: TaskTolerances
 ) -> pd.DataFrame:
     """Return a table with one row (`TaskPoint`) per point of the task; measured are the fitted rows."""
-    place = expected_point(calibrated, task.conditions)
+    place = calibrated.expected_point(task.conditions)
     nominal = calibrated.model.point(calibrated.model.nominal, task.conditions)
     within = errors.within(asked).mean(axis=0) if asked.anything else np.nan
     (sd, sd_turn), (expected, turn), (radius, turn95) = errors.sd, errors.expected, errors.radius

@@ -11,7 +11,7 @@ import numpy as np
 from calflow.deployment.compensation import not_known
 from calflow.deployment.prediction import as_stated, beyond_limits
 from calflow.design.candidates import candidates
-from calflow.estimation.calibrated_model import CalibratedModel, with_maps_held
+from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.model_tables import IdentifySummary, calibrated
 from calflow.estimation.noise import conditions
 from calflow.faults import corrected
@@ -42,7 +42,7 @@ def _run(context: Context) -> Results:
     data = corrected(study.measurements(), context.tables["identify/faults.csv"])
     calibration = calibrated(study.robot, context.results, data.given)
     length: SampleSettings = context.settings
-    if wrong := too_few_walkers(length.walkers, len(with_maps_held(calibration)[0].model.parameters) + 1):
+    if wrong := too_few_walkers(length.walkers, len(calibration.with_maps_held()[0].model.parameters) + 1):
         raise refuse(wrong, study.path, key="stages.sample.walkers")
     path = context.folder / "sample" / "chain.h5"
     posterior = sample(calibration, data, path, length, rng=context.rng, say=context.say, advance=context.advance)

@@ -16,13 +16,7 @@ from matplotlib.figure import Figure
 from calflow.deployment.run_outcome import RunOutcome
 from calflow.deployment.usability import no_gain_words
 from calflow.design.candidates import candidates
-from calflow.estimation.calibrated_model import (
-    CalibratedModel,
-    distance_moved,
-    expected_point,
-    gain_is_certain,
-    promised_distance,
-)
+from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.extrapolation import beyond
 from calflow.files.deferred import pd
 from calflow.files.problems import InputError
@@ -122,9 +116,8 @@ def _drawn(calibrated: CalibratedModel, data: Measurements, region: np.ndarray |
 
 
 def _promised_at(calibrated: CalibratedModel, conditions: np.ndarray, outside: np.ndarray, where: str) -> Promised:
-    place, error, nominal, gained = (
-        of(calibrated, conditions) for of in (expected_point, promised_distance, distance_moved, gain_is_certain)
-    )
+    place, error = calibrated.expected_point(conditions), calibrated.promised_distance(conditions)
+    nominal, gained = calibrated.distance_moved(conditions), calibrated.gain_is_certain(conditions)
     return Promised(place, error, nominal, gained, outside, where)
 
 
