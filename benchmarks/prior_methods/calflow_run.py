@@ -10,7 +10,6 @@ import numpy as np
 from real_data import columns
 
 from calflow.calibration import Calibration
-from calflow.deployment.prediction import on_conditions_of
 from calflow.estimation.field_gain import gainful_field
 from calflow.estimation.identification import fit_effects
 from calflow.measurements.measurements import Measurements
@@ -60,7 +59,7 @@ class Calflow:
             seconds.write_text(f"{reused + processor_seconds() - started:.2f}\n", encoding="utf-8")
 
         def positions(rows: Measurements) -> np.ndarray:
-            known = on_conditions_of(Calibration.load(folder / "run"), rows)
+            known = Calibration.load(folder / "run").later(rows.given)
             packed = counted(rows, train).on(known.model.robot).conditions
             return known.model.position(known.estimate, packed) + known.field_correction(packed)  # as the device saw it
 

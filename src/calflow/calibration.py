@@ -456,7 +456,7 @@ class Calibration(CalibratedModel, RunOutcome):
         conditions, lost = None, [GONE]
         with suppress(InputError):
             data, lost = self.data, []
-            model, conditions = prediction.on_conditions_of(self, data), data.conditions
+            model, conditions = self.later(data.given), data.conditions
         moved_by = drives(self.folder.folder / INPUTS / "robot.toml") if self.folder else None
         exported = exporting.export(
             model, to, conditions=conditions, levels=self.levels, maker=self.robot, drives=moved_by, beside=texts

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,7 +14,7 @@ from calflow.estimation.calibrated_model import Alternative, CalibratedModel, Se
 from calflow.estimation.error_model import ErrorModel
 from calflow.estimation.noise import PerUnit
 from calflow.files.units import METRE
-from calflow.sampling.posterior import predictive_table
+from calflow.sampling.posterior import Posterior, predictive_table
 from diagnosis.found import cause, hidden, start
 from estimation.data import SIGMA
 
@@ -35,6 +36,7 @@ def predicted(known, data, off=0.0):
     values = np.tile([*known.estimate, 0.0], (2, 10, 25, 1))
     values[..., :-1] += off
     sampled = SimpleNamespace(points=values, calibrated=known, data=data)
+    sampled.drawn = partial(Posterior.drawn, sampled)
     return predictive_table(sampled, np.random.default_rng(1))
 
 

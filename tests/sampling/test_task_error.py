@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.stats import chi
 
-from calflow.deployment.compensation import turn_sd
 from calflow.sampling.task_points import PointErrors, TaskTolerances, point_errors, task_summary, task_table
 
 TEN = TaskTolerances(tolerance=10.0)
@@ -66,7 +65,9 @@ def test_draws_and_the_fits_covariance_agree(calibrations):
     for _, _, known, task, found in calibrations[:4]:
         expected = np.sqrt(known.position_variance(task.conditions))
         np.testing.assert_allclose(found.sd[0], expected, rtol=0.25)
-        np.testing.assert_allclose(np.median(found.sd[1] / turn_sd(known, task.conditions)), 1.0, atol=0.15)
+        np.testing.assert_allclose(
+            np.median(found.sd[1] / np.sqrt(known.rotation_variance(task.conditions))), 1.0, atol=0.15
+        )
 
 
 def test_what_was_not_measured_is_said(calibrations):

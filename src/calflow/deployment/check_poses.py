@@ -8,7 +8,6 @@ import numpy as np
 
 from calflow.deployment.drift import Drift, drift
 from calflow.deployment.movements import movements
-from calflow.deployment.prediction import on_conditions_of
 from calflow.design.optimality import ParameterCriterion
 from calflow.design.search import exchange, greedy
 from calflow.estimation.calibrated_model import CalibratedModel
@@ -49,7 +48,7 @@ def choose_check_poses(calibrated: CalibratedModel, data: Measurements, number: 
             f"expected {FEWEST_CHECK_POSES} to {there}, the number of poses measured{carrying}, found {number}",
             key="number",
         )
-    calibrated = on_conditions_of(calibrated, data)
+    calibrated = calibrated.later(data.given)
     chosen = check_poses(calibrated, data, number)
     readings = shown_readings(data.robot, chosen.joints)
     columns = dict(zip(reading_columns(data.robot), readings.T.round(4), strict=True))

@@ -81,17 +81,12 @@ def base_placement(calibrated: CalibratedModel, conditions: np.ndarray) -> np.nd
     return calibrated.model.figures("base", lambda p, c, at: [at.stands], calibrated.estimate, conditions)[0]
 
 
-def turn_sd(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
-    """Return the standard deviations of the tool's rotation about its own axes (n_rows, 3) [rad]."""
-    return np.sqrt(calibrated.rotation_variance(conditions))
-
-
 def not_known(calibrated: CalibratedModel, conditions: np.ndarray) -> list[str]:
     """Return notes on the parts of the orientation in rows (n_conditions, n_rows) that no measurement determined."""
     if any(isinstance(observation, Pose) for observation in calibrated.model.observations):
         return []
     few = conditions[:, np.unique(np.linspace(0, conditions.shape[1] - 1, UNTOLD_ROWS).astype(int))]
-    typical = np.sqrt((turn_sd(calibrated, few) ** 2).mean(axis=0))
+    typical = np.sqrt(calibrated.rotation_variance(few).mean(axis=0))
     robot = calibrated.model.robot
     turned = "turned by tool_rotation_deg of the robot file" if robot.tool_rotation else "as it is"
     problems = [
@@ -348,7 +343,7 @@ def _judged(
     return Compensation(
         landed.readings, remaining, turned, landed.reached,
         np.sqrt(calibrated.position_variance(data.conditions) + stated.widened),
-        turn_sd(calibrated, data.conditions) if oriented else None,
+        np.sqrt(calibrated.rotation_variance(data.conditions)) if oriented else None,
         start, nominal_miss, nominal_turned, clear, data, tuple(notes),
         calibrated.field_correction(data.conditions) if calibrated.field else None,
     )  # fmt: skip

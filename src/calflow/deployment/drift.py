@@ -22,10 +22,7 @@ from calflow.deployment.movements import (
     Kind,
     Movement,
     SearchRound,
-    joint_sizes,
     movements,
-    remaining_error_p,
-    searched,
 )
 from calflow.deployment.validation import OF_THE_SAME
 from calflow.design.candidates import candidates
@@ -58,20 +55,18 @@ def mistaken_poses(check: CheckProblem, rounds: Sequence[SearchRound], station: 
     Movements that leave most of the error would be a correction that does not make the calibration right again.
     """
     far = check.size().mean() > ELSEWHERE
-    if not rounds and not far and remaining_error_p(check, ()) >= alarm:
+    if not rounds and not far and check.remaining_error_p(()) >= alarm:
         return None
-    moved = check
-    for step in rounds:
-        moved = moved.without(step.best.movement, step.best.since)
+    moved = check.beside(rounds)
     for k in np.argsort(-check.size()):
         rest = _rest(check, k, station)
         if rest is None or not rest.square + 2 * WITHIN < moved.square:
             continue
-        if remaining_error_p(rest, ()) >= alarm or rest.size().mean() <= ELSEWHERE < check.size()[k]:
+        if rest.remaining_error_p(()) >= alarm or rest.size().mean() <= ELSEWHERE < check.size()[k]:
             return _alone(check, int(k))
     if not far:
-        error, left = (1e3 * float(each.mean()) for each in (check.size(), _left(check, joint_sizes(check, rounds))))
-        if not rounds or left < MOST_LEFT * error or remaining_error_p(check, rounds) >= alarm:
+        error, left = (1e3 * float(each.mean()) for each in (check.size(), _left(check, check.joint_sizes(rounds))))
+        if not rounds or left < MOST_LEFT * error or check.remaining_error_p(rounds) >= alarm:
             return None
         named = " and of ".join(step.best.movement.meaning for step in rounds)
         return (
@@ -86,7 +81,7 @@ def mistaken_poses(check: CheckProblem, rounds: Sequence[SearchRound], station: 
 
 
 def _alone(check: CheckProblem, k: int) -> str:
-    labels, session = check.table.iloc[k], check.names[check.session[3 * k]]
+    labels, session = check.table.iloc[k], check.names[check.session[k]]
     named = f"pose {labels['pose']}, marker {labels['marker']}{f', session {session}' if session else ''}"
     return (
         f"{named} alone carries the error, off by {rounded(1e3 * check.size()[k])} mm: was it another pose, another marker, or "
@@ -97,7 +92,7 @@ def _alone(check: CheckProblem, k: int) -> str:
 def _rest(check: CheckProblem, k: int, station: Station) -> CheckProblem | None:
     """Return the check without a point; None where too few are left."""
     left = check.data.only(check.share[k] == 0)
-    same = check.session[::3] == check.session[3 * k]
+    same = check.session == check.session[k]
     same[k] = False
     if not same.any() or (station == "fitted" and not can_align(check.points[same])):
         return None
@@ -333,16 +328,16 @@ def drift(
     check = CheckProblem.of(calibrated, data, rows)
     every = movements(calibrated, data, not fitted)
     rng = np.random.default_rng(seed)
-    steps = searched(check, every, MOVEMENTS_SHARE * false_alarm, rng)
+    steps = check.searched(every, MOVEMENTS_SHARE * false_alarm, rng)
     significant = [step for step in steps if step.family_p < MOVEMENTS_SHARE * false_alarm]
     doubt = mistaken_poses(check, significant, station, (1 - MOVEMENTS_SHARE) * false_alarm)
     significant = significant if doubt is None else []
-    rest = remaining_error_p(check, significant)
+    rest = check.remaining_error_p(significant)
     unseen, usual = _unseen(check, steps[0], fitted), _usual_error(check, fitted)
     status: Status = "cannot be told" if doubt else _status(significant, rest, (1 - MOVEMENTS_SHARE) * false_alarm)
     if status == "in place" and unseen > usual:
         status = "cannot be seen"
-    best = joint_sizes(check, significant)
+    best = check.joint_sizes(significant)
     left = _left(check, best)
     poses, chance = (
         settling(check, significant[0].best, rivals(significant[0]), fitted, rng) if significant else ((), None)
@@ -450,7 +445,7 @@ def _tested(step: SearchRound) -> tuple[TestedMovement, ...]:
 
 def _poses(check: CheckProblem, left: np.ndarray, fitted: np.ndarray) -> tuple[CheckedPose, ...]:
     expected = np.sqrt(np.diag(_still(check, fitted)).reshape(-1, 3).sum(axis=1))
-    sessions = [check.names[k] for k in check.session[::3]]
+    sessions = [check.names[k] for k in check.session]
     rows = zip(check.table.to_dict("records"), sessions, check.size(), expected, left, strict=True)
     return tuple(
         CheckedPose(pose=str(labels["pose"]), marker=str(labels["marker"]), session=session, error_mm=1e3 * float(error),

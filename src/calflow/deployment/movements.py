@@ -191,7 +191,7 @@ def _same(first: Movement, other: Movement) -> bool:
 class CheckProblem:
     """Check poses of a calibrated robot as a linear problem in n coordinates.
 
-    error (n,) [m], its covariance (n, n) [m²], session (n,) of each; points (n / 3, 3) [m], table: their labels, names:
+    error (n,) [m], its covariance (n, n) [m²]; points (n / 3, 3) [m], session (n / 3,) of each, table: their labels, names:
     sessions in order; share (n / 3, m): weights by which m rows are averaged to points; own (n / 3,) [m²]: variance per
     axis of a point that is independent of other points.
     """
@@ -240,23 +240,26 @@ class CheckProblem:
                 seen[there] = Alignment.best(seen[there], points[there]).of(seen[there])
                 frame = rigid_slope(points).reshape(len(covariance), 6) * np.repeat(there, 3)[:, None] * ANYWHERE
                 covariance += frame @ frame.T
-        error, of_session = (seen - points).ravel(), np.repeat(session, 3)
-        return CheckProblem(calibrated, data, error, covariance, of_session, points, table, names, share, variance)
+        error = (seen - points).ravel()
+        return CheckProblem(calibrated, data, error, covariance, session, points, table, names, share, variance)
 
     @property
     def sessions(self) -> int:
         """Number of sessions."""
         return len(self.names)
 
-    def without(self, movement: Movement, since: int) -> CheckProblem:
-        """Return the check with a movement of unconstrained size marginalised through its covariance."""
-        effect = self.columns(movement, since) * (UNRESTRICTED * movement.sd)
-        return replace(self, covariance=self.covariance + effect @ effect.T)
+    def beside(self, rounds: Sequence[SearchRound]) -> CheckProblem:
+        """Return the check with the movements found, of unconstrained size, marginalised through its covariance."""
+        covariance = self.covariance
+        for found in (step.best for step in rounds):
+            effect = self.columns(found.movement, found.since) * (UNRESTRICTED * found.movement.sd)
+            covariance = covariance + effect @ effect.T
+        return replace(self, covariance=covariance)
 
     def columns(self, movement: Movement, since: int) -> np.ndarray:
         """Return the Jacobian of a movement since a session (counted from 0), shape (n, k) [m per unit]."""
-        slope = np.einsum("nm,mak->nak", self.share, movement.slope).reshape(len(self.error), -1)
-        return np.asarray(slope * (self.session >= since)[:, None])
+        slope = np.einsum("nm,mak->nak", self.share, movement.slope) * (self.session >= since)[:, None, None]
+        return np.asarray(slope.reshape(len(self.error), -1))
 
     @property
     def square(self) -> float:
@@ -267,6 +270,68 @@ class CheckProblem:
     def size(self) -> np.ndarray:
         """Return the length of each point's error, shape (n / 3,) [m]."""
         return np.linalg.norm(self.error.reshape(-1, 3), axis=1)
+
+    def searched(self, every: Sequence[Movement], alarm: float, rng: np.random.Generator) -> tuple[SearchRound, ...]:
+        """Return the rounds of a forward search; the last is not significant, or reaches MOST_MOVED."""
+        check, rounds = self, list[SearchRound]()
+        for _ in range(MOST_MOVED):
+            step = check._search_round(every, alarm, rng)
+            rounds.append(step)
+            if step.family_p >= alarm:
+                break
+            check = check.beside([step])
+            every = [movement for movement in every if movement.name != step.best.movement.name]
+        return tuple(rounds)
+
+    def _search_round(self, every: Sequence[Movement], alarm: float, rng: np.random.Generator) -> SearchRound:
+        """Test every movement since every session.
+
+        The statistic is the part q of the error's whitened square that a movement of k parameters explains; it is divided
+        by the remaining square per degree of freedom where that exceeds 1, so that a noisier device raises no alarm.
+        """
+        factor = np.linalg.inv(np.linalg.cholesky(self.covariance))
+        whitened, n = factor @ self.error, len(self.error)
+        tested, bases = [], []
+        for movement in every:
+            for since in range(self.sessions):
+                slope = factor @ self.columns(movement, since)
+                basis = _basis(slope)
+                if 0 < basis.shape[1] < n - 1:
+                    bases.append(basis)
+                    p = float(scipy.stats.chi2.sf(_taken(whitened[:, None], basis)[0], basis.shape[1]))
+                    tested.append((movement, since, slope, p))
+        if not tested:
+            return SearchRound((), 1.0)
+        least = _least_p(rng.standard_normal((n, NULL_DRAWS)), bases)
+        threshold = max(float(np.quantile(least, alarm)), alarm / len(tested))
+        results = sorted(
+            (_explained(whitened, *movement, threshold) for movement in tested), key=lambda result: -result.evidence
+        )
+        smallest = min(result.p for result in results)
+        counted = (1 + (least <= smallest).sum()) / (1 + NULL_DRAWS)
+        return SearchRound(tuple(results), float(min(counted, len(tested) * smallest)))
+
+    def joint_sizes(self, steps: Sequence[SearchRound]) -> tuple[Explained, ...]:
+        """Return the best movement of each round, with sizes estimated jointly."""
+        if not steps:
+            return ()
+        best = [step.best for step in steps]
+        sd = np.concatenate([explained.movement.sd for explained in best])
+        factor = np.linalg.cholesky(self.covariance)
+        columns = np.hstack([self.columns(explained.movement, explained.since) for explained in best]) * sd
+        mean, inverse = _posterior(np.linalg.solve(factor, columns), np.linalg.solve(factor, self.error))
+        size, covariance = sd * mean, np.outer(sd, sd) * inverse
+        ends = np.cumsum([len(explained.size) for explained in best])
+        spans = [slice(end - len(explained.size), end) for explained, end in zip(best, ends, strict=True)]
+        return tuple(
+            replace(explained, size=size[span], covariance=covariance[span, span])
+            for explained, span in zip(best, spans, strict=True)
+        )
+
+    def remaining_error_p(self, rounds: Sequence[SearchRound]) -> float:
+        """Return the p-value of the error that remains beside the movements found (chi-squared test of all coordinates)."""
+        taken = sum(len(step.best.size) for step in rounds)
+        return float(scipy.stats.chi2.sf(self.beside(rounds).square, max(1, len(self.error) - taken)))
 
 
 def _sessions(table: pd.DataFrame) -> tuple[np.ndarray, tuple[str, ...]]:
@@ -328,77 +393,6 @@ class SearchRound:
         for explained, probability in zip(self.explained, self.probabilities, strict=True):
             by_name[explained.movement.name] = by_name.get(explained.movement.name, 0.0) + float(probability)
         return dict(sorted(by_name.items(), key=lambda item: -item[1]))
-
-
-def searched(
-    check: CheckProblem, every: Sequence[Movement], alarm: float, rng: np.random.Generator
-) -> tuple[SearchRound, ...]:
-    """Return the rounds of a forward search; the last is not significant, or reaches MOST_MOVED."""
-    rounds: list[SearchRound] = []
-    for _ in range(MOST_MOVED):
-        step = search_round(check, every, alarm, rng)
-        rounds.append(step)
-        if step.family_p >= alarm:
-            break
-        check = check.without(step.best.movement, step.best.since)
-        every = [movement for movement in every if movement.name != step.best.movement.name]
-    return tuple(rounds)
-
-
-def search_round(check: CheckProblem, every: Sequence[Movement], alarm: float, rng: np.random.Generator) -> SearchRound:
-    """Test every movement since every session.
-
-    The statistic is the part q of the error's whitened square that a movement of k parameters explains; it is divided
-    by the remaining square per degree of freedom where that exceeds 1, so that a noisier device raises no alarm.
-    """
-    factor = np.linalg.inv(np.linalg.cholesky(check.covariance))
-    whitened, n = factor @ check.error, len(check.error)
-    tested, bases = [], []
-    for movement in every:
-        for since in range(check.sessions):
-            slope = factor @ check.columns(movement, since)
-            basis = _basis(slope)
-            if 0 < basis.shape[1] < n - 1:
-                bases.append(basis)
-                p = float(scipy.stats.chi2.sf(_taken(whitened[:, None], basis)[0], basis.shape[1]))
-                tested.append((movement, since, slope, p))
-    if not tested:
-        return SearchRound((), 1.0)
-    least = _least_p(rng.standard_normal((n, NULL_DRAWS)), bases)
-    threshold = max(float(np.quantile(least, alarm)), alarm / len(tested))
-    results = sorted(
-        (_explained(whitened, *movement, threshold) for movement in tested), key=lambda result: -result.evidence
-    )
-    smallest = min(result.p for result in results)
-    counted = (1 + (least <= smallest).sum()) / (1 + NULL_DRAWS)
-    return SearchRound(tuple(results), float(min(counted, len(tested) * smallest)))
-
-
-def joint_sizes(check: CheckProblem, steps: Sequence[SearchRound]) -> tuple[Explained, ...]:
-    """Return the best movement of each round, with sizes estimated jointly."""
-    if not steps:
-        return ()
-    best = [step.best for step in steps]
-    sd = np.concatenate([explained.movement.sd for explained in best])
-    factor = np.linalg.cholesky(check.covariance)
-    columns = np.hstack([check.columns(explained.movement, explained.since) for explained in best]) * sd
-    mean, inverse = _posterior(np.linalg.solve(factor, columns), np.linalg.solve(factor, check.error))
-    size, covariance = sd * mean, np.outer(sd, sd) * inverse
-    ends = np.cumsum([len(explained.size) for explained in best])
-    spans = [slice(end - len(explained.size), end) for explained, end in zip(best, ends, strict=True)]
-    return tuple(
-        replace(explained, size=size[span], covariance=covariance[span, span])
-        for explained, span in zip(best, spans, strict=True)
-    )
-
-
-def remaining_error_p(check: CheckProblem, step: Sequence[SearchRound]) -> float:
-    """Return the p-value of the error that remains beside the movements found (chi-squared test of all coordinates)."""
-    taken = 0
-    for explained in step:
-        check = check.without(explained.best.movement, explained.best.since)
-        taken += len(explained.best.size)
-    return float(scipy.stats.chi2.sf(check.square, max(1, len(check.error) - taken)))
 
 
 def _basis(slope: np.ndarray) -> np.ndarray:

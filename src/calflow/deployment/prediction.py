@@ -162,11 +162,6 @@ def as_stated(
     return StatedModel(calibrated.later(given), data.stating(given), widened, notes)
 
 
-def on_conditions_of(calibrated: CalibratedModel, data: Measurements) -> CalibratedModel:
-    """Return the model for later rows that state the same conditions as these data."""
-    return calibrated.later(data.given)
-
-
 def beyond_limits(data: Measurements, so: str = "the prediction there is extrapolated") -> list[str]:
     """Return notes that name the rows with a joint past its limits, and the consequence so."""
     q = data.joints @ data.robot.reading_matrix.T

@@ -12,7 +12,7 @@ from calflow.calibration import Calibration
 from calflow.deployment.attained import TARGET
 from calflow.deployment.compensation import Compensation, compensate_rows, targets_in_measuring_frame
 from calflow.deployment.inverse_kinematics import Targets
-from calflow.deployment.prediction import Missing, beyond_limits, on_conditions_of, standing
+from calflow.deployment.prediction import Missing, beyond_limits, standing
 from calflow.faults.implausible import plausible
 from calflow.files.deferred import pd
 from calflow.files.problems import InputError, Problem, nearest, refuse, refuse_any
@@ -107,7 +107,7 @@ def compensate_file(
         data = plausible(data, path)
     names = data.table[FRAME].astype(str) if FRAME in data.table else [""] * len(data)
     aims = Targets(data.position, data.rotation)
-    asked = targets_in_measuring_frame(aims, list(names), stated, on_conditions_of(calibration, data), data.conditions)
+    asked = targets_in_measuring_frame(aims, list(names), stated, calibration.later(data.given), data.conditions)
     compensation = compensate_rows(
         calibration, data, asked, start=data.joints if started else None, in_order=in_order, missing=missing, seed=seed
     )

@@ -68,19 +68,8 @@ class ChainSummary:
     )
 
 
-def drawn(posterior: Posterior, number: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Return a number of a posterior's draws, at most all: points (n_draws, n_parameters + 1), and the rivals that act in each.
-
-    The mask (n_draws, n_alternatives) says where a rival replaces the cause found, with its probability and independently.
-    """
-    flat = posterior.points.reshape(-1, posterior.points.shape[-1])
-    points = flat[rng.choice(len(flat), size=min(number, len(flat)), replace=False)]
-    probable = [other.probability for other in posterior.calibrated.alternatives]
-    return points, rng.random((len(points), len(probable))) < probable
-
-
 def shifts(calibrated: CalibratedModel, acts: np.ndarray, quantity: Quantity) -> np.ndarray:
-    """Return the change of a quantity of rows by the rivals that act in each draw, (n_draws, n_rows, 3); acts as of `drawn`."""
+    """Return the change of a quantity of rows by the rivals that act, of `Posterior.drawn`, (n_draws, n_rows, 3)."""
     moved = offsets(calibrated.alternatives, calibrated.model, calibrated.estimate, quantity)
     return np.einsum("dk,rik->dri", acts.astype(float), moved)
 
@@ -205,7 +194,7 @@ def predictive_table(posterior: Posterior, rng: np.random.Generator) -> pd.DataF
     unit = judged_unit(units)
     data = data.only(np.array([other == unit for other in units])[data.series_number])
     lengths = 1.0 if unit == METRE else np.nan
-    calibrated, (values, acts) = posterior.calibrated, drawn(posterior, DRAWS_KEPT, rng)
+    calibrated, (values, acts) = posterior.calibrated, posterior.drawn(DRAWS_KEPT, rng)
     by_choice = shifts(calibrated, acts, lambda model, estimate: errors(model, estimate, data))
     by_parameters = errors_of_draws(calibrated.model, values[:, :-1], data)
     centre = (by_parameters + by_choice).mean(axis=0)
@@ -286,6 +275,16 @@ class Posterior:
     def points(self) -> np.ndarray:
         """The draws of the parameters [SI], the last entry the log of the noise's factor; shape as walkers."""
         return self.log_posterior.parameters(self.walkers)
+
+    def drawn(self, number: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        """Return a number of draws, at most all: points (n_draws, n_parameters + 1), and the rivals that act in each.
+
+        The mask (n_draws, n_alternatives) says where a rival replaces the cause found, with its probability and independently.
+        """
+        flat = self.points.reshape(-1, self.points.shape[-1])
+        points = flat[rng.choice(len(flat), size=min(number, len(flat)), replace=False)]
+        probable = [other.probability for other in self.calibrated.alternatives]
+        return points, rng.random((len(points), len(probable))) < probable
 
     @cached_property
     def values(self) -> np.ndarray:

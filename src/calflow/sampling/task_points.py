@@ -19,7 +19,7 @@ from calflow.files.tables import column, typed
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 from calflow.observations.pose import Pose
-from calflow.sampling.posterior import Posterior, drawn, shifts
+from calflow.sampling.posterior import Posterior, shifts
 
 Slope = Callable[[Model, np.ndarray, np.ndarray], np.ndarray]  # (model, estimate, packed rows) -> Jacobian
 TASK_DRAWS = 1000
@@ -102,7 +102,7 @@ def point_errors(
         widened: further variance of positions [m²].
     """
     lean = posterior.calibrated.later(calibrated.model.given)
-    draws, acts = drawn(posterior, TASK_DRAWS, rng)
+    draws, acts = posterior.drawn(TASK_DRAWS, rng)
     factor = np.exp(2 * draws[:, -1])[:, None, None]  # of the noise's variance
 
     def errors(quantity: Quantity, slope: Slope, left: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
