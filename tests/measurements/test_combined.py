@@ -9,6 +9,7 @@ import pytest
 from calflow.files.problems import InputError
 from calflow.measurements.measurements import Measurements, combined
 from calflow.measurements.series import Series, Station
+from calflow.observations import observations
 from calflow.study import load_study
 from robots import ur10
 
@@ -48,7 +49,7 @@ def test_a_wire_beside_a_tracker(small):
     small.edit("study.toml", (ONE, SERIES + WIRE))
     data = load_study(small.path).measurements()
     table = data.table
-    assert [one.kind for one in data.series] == ["", "distance"]
+    assert [one.kind for one in data.series] == ["position", "distance"]
     assert data.of_series(1).sum() == data.of_series(0).sum() == len(data) // 2
     assert table.loc[data.of_series(1), "x"].isna().all()
     assert table.loc[data.of_series(0), "length"].isna().all()
@@ -171,3 +172,16 @@ def test_two_series_that_share_a_name_are_refused(small):
     assert "wire.x" in said
     small.edit("study.toml", ('name = "wire"', 'name = "other"'))
     assert small.calflow("check").code == 0
+
+
+def test_points_beside_full_poses():
+    """Fails if a tracker's points are taken for poses of unknown orientation, since another series reports orientations."""
+    rng = np.random.default_rng(3)
+    robot, q = ur10(), rng.uniform(-1, 1, (5, 6))
+    points = Measurements.from_arrays(robot, q, rng.uniform(size=(5, 3)))
+    full = Measurements.from_arrays(
+        robot, q, rng.uniform(size=(5, 3)), rotation=np.tile(np.eye(3), (5, 1, 1)), sigma_rotation=1e-3
+    )
+    for parts in ([points, full], [full, points]):
+        kinds = {type(seen).id: seen.units for seen in observations(combined(parts))}
+        assert {kind: len(units) for kind, units in kinds.items()} == {"position": 3, "pose": 6}

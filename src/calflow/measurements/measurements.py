@@ -341,9 +341,11 @@ def combined(parts: Sequence[Measurements]) -> Measurements:
         if label in whole:
             whole[label] = whole[label].fillna("")
     whole["order"] = whole["time"].rank(method="dense") if origin is not None else np.arange(1.0, len(whole) + 1)
+    # A series of points beside one of full poses has columns of orientations too, all empty: its kind is told here.
+    series = tuple(replace(part.series[0], kind=part.series[0].kind_in(part.table)) for part in parts)
     return replace(
         first, table=whole, notes=tuple(dict.fromkeys(_notes(parts, shared, split))), time_origin=origin,
-        series=tuple(part.series[0] for part in parts), units=tuple(sorted({unit for part in parts for unit in part.units})),
+        series=series, units=tuple(sorted({unit for part in parts for unit in part.units})),
         payload_stated=any(part.payload_stated for part in parts),
     )  # fmt: skip
 

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calflow.files.deferred import pd
+
 Triple = tuple[float, float, float]
 Setting = float | str | bool | None | tuple[float, ...]
 
@@ -65,6 +67,10 @@ class Series:
     settings: tuple[tuple[str, Setting], ...] = ()
     labels: tuple[str, ...] = ()
     within: tuple[str, ...] = ()
+
+    def kind_in(self, table: pd.DataFrame) -> str:
+        """Return the kind of a table that has the rows of this series alone."""
+        return self.kind or ("pose" if {"rx", "qw"} & set(table) else "position")
 
     def setting(self, name: str, otherwise: Setting = None) -> Setting:
         """Return the value of a setting, or the default if the user stated none."""

@@ -313,4 +313,4 @@ def leading_units(data: Measurements) -> tuple[MeasurementUnit, ...]:
 
 def _kind(series: Series, table: pd.DataFrame) -> type[Observation]:
     """Return the kind of observation of a series' rows."""
-    return observation_kinds()[series.kind or ("pose" if {"rx", "qw"} & set(table) else "position")]
+    return observation_kinds()[series.kind_in(table)]
