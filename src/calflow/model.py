@@ -331,6 +331,12 @@ class Model:
         later = tuple(effect.later(series) for effect in self.effects)
         return self if later == self.effects else replace(self, effects=later)
 
+    @property
+    def by_session(self) -> bool:
+        """Whether sessions have frames of their own, as the study says of a station or as was found: a further one's is unknown."""
+        stated = any(observation.series.station.by_session for observation in self.observations)
+        return stated or any("session" in effect.needs for effect in self.effects)
+
     def undecided(self, data: Measurements) -> np.ndarray:
         """Return the rows (n_rows,) in which the fitted rows do not tell whether some effect acts."""
         return np.logical_or.reduce([np.zeros(len(data), dtype=bool), *(each.undecided(data) for each in self.effects)])

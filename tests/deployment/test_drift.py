@@ -12,9 +12,12 @@ from calflow.deployment.drift import drift
 from calflow.deployment.movements import CheckProblem, movements
 from calflow.deployment.validation import validate
 from calflow.design.candidates import candidates
+from calflow.effects.session_frame import SessionFrame
 from calflow.estimation.extrapolation import Later
 from calflow.measurements.measurements import Measurements
+from calflow.measurements.series import Series, Station
 from calflow.model import build
+from calflow.observations.position import Position
 from estimation.data import POSES, calibrated, calibration, wavering
 from robots import industrial
 
@@ -290,3 +293,25 @@ def test_a_smooth_misfit_at_other_poses_is_no_drift():
     known = calibrated(whole.only(rows < POSES))
     checks = (whole.only((rows >= first) & (rows < first + 8)) for first in range(POSES, len(rows), 8))
     assert np.mean([CheckProblem.of(known, one, np.zeros(8, dtype=bool)).square / 24 for one in checks]) < 4
+
+
+@pytest.mark.parametrize("by", ["station", "effect"])
+def test_sessions_that_had_frames_of_their_own_get_one(robot, by):
+    """Fails if a device that was set up anew every day, as the calibration knows, is held to its first day's frame."""
+    known, q = robot
+    model = known.model
+    if by == "station":
+        seen = Position(Series(station=Station(by_session=True)), still=(("Monday",),))
+        anew = replace(known, model=replace(model, observations=(seen,)))
+    else:
+        apart = build(model.robot, (*model.effects, SessionFrame(model.robot, ("Monday", "Tuesday"))))
+        n = len(apart.parameters) - len(known.estimate)
+        sure = np.pad(known.covariance, (0, n))
+        anew = calibration(apart, np.pad(known.estimate, (0, n)), sure, NOISE)
+    data = checked(known, q, 6)
+    off = replace(data, table=data.table.assign(x=data.table["x"] + 1e-3, session="Friday"))
+    assert validate(known, off).judged.rms_mm > 0.9
+    assert validate(anew, off, station="known").judged.rms_mm > 0.9
+    assert validate(anew, off).judged.rms_mm < 0.15
+    found = drift(anew, off).summary
+    assert (found.station, found.status) == ("fitted", "in place")

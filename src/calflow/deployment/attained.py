@@ -170,6 +170,7 @@ class Attained:
     Without measured positions (in_space) all of these are in `unit`: measured and expected are then relative to the
     calibrated model's prediction, with as many columns as a row has values, and there is no repeatability. taken: degrees
     of freedom of new objects (a socket, a surface), which these rows place; values: number of values of a pose, on average.
+    by_session: as of the calibration's model.
     """
 
     table: pd.DataFrame
@@ -185,6 +186,7 @@ class Attained:
     in_space: bool = True
     taken: int = 0
     values: float = 3.0
+    by_session: bool = False
 
     @staticmethod
     def of(
@@ -222,7 +224,7 @@ class Attained:
         return Attained(
             table, mean(data.position), expected, shared, np.sqrt(np.maximum(left, 0.0) + 3 * noise**2), noise,
             np.array([pose_repeatability(data.position[k]) for k in row_numbers]),
-            AttainedTurns.of(calibrated, estimates, data, rows, row_numbers), NOT_FITTED,
+            AttainedTurns.of(calibrated, estimates, data, rows, row_numbers), NOT_FITTED, by_session=calibrated.model.by_session,
         ).standing(station)  # fmt: skip
 
     @staticmethod
@@ -287,8 +289,11 @@ class Attained:
         """
         sessions = list(zip(self.sessions, self.motions, self.of_sessions, strict=True))
         if station != "fitted" or not self.in_space:
-            far = [motion is not None and motion.moved(self.measured[rows]) > ELSEWHERE for _, motion, rows in sessions]
-            return replace(self, fitted=np.array(far) & (station == "auto"))
+            elsewhere = [
+                motion is not None and (self.by_session or motion.moved(self.measured[rows]) > ELSEWHERE)
+                for _, motion, rows in sessions
+            ]
+            return replace(self, fitted=np.array(elsewhere) & (station == "auto"))
         for name, motion, rows in sessions:
             if motion is None:
                 named = f"session '{name}' has" if name else "there are"

@@ -213,7 +213,8 @@ def validate(
         task: number of poses that must all be within, which then decides instead of a further pose.
         confidence: the probability that the verdict "met" requires.
         station: whether the device stood where it stood in the calibration; "auto" takes it as known except in
-            sessions whose mean error exceeds ELSEWHERE, which no calibrated robot's does.
+            sessions whose mean error exceeds ELSEWHERE, which no calibrated robot's does, and where the calibration's
+            sessions had frames of their own.
         sent: what the robot was given; corrected commands where targets are stated and it is None.
         figures: those of its controller, where they were sent (see `Levels.figures`).
 
@@ -371,8 +372,13 @@ class _Comparison:
         """Notes on assumptions and anomalies."""
         notes = []
         if self.attained.fitted.any():
+            why = (
+                "the device is set up anew for each session, as in the calibration"
+                if self.attained.by_session
+                else f"the device stood elsewhere than in the calibration{self.attained.refitted_words}"
+            )
             notes.append(
-                f"the device stood elsewhere than in the calibration{self.attained.refitted_words}: its frame was "
+                f"{why}: its frame was "
                 f"fitted to these points, which took {self.freedom_lost} degrees of freedom; where the robot stands is not judged"
             )
         elif self.moved_p is not None and self.moved_p < MOVED_P:
