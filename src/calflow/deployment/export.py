@@ -20,6 +20,7 @@ from calflow.deployment.figures_alone import GIVEN, Effort, FiguresAlone, Levels
 from calflow.design.candidates import candidates
 from calflow.effects import Effect
 from calflow.estimation.calibrated_model import CalibratedModel
+from calflow.estimation.registration import with_placement_errors
 from calflow.estimation.residual_field import NOT_PHYSICAL
 from calflow.files.deferred import Rotation
 from calflow.files.problems import refuse
@@ -38,7 +39,7 @@ from calflow.robot.formats.rigid_chain import (
 )
 from calflow.robot.formats.ur_calibration import driver_yaml
 from calflow.robot.formats.urdf import Drive
-from calflow.robot.frames import Vector, angles, placement_matrix, vector
+from calflow.robot.frames import angles
 from calflow.robot.mechanism import Row, nominal_dimensions
 from calflow.robot.robot import Robot
 
@@ -78,24 +79,14 @@ def robot_of(alone: FiguresAlone | CalibratedModel) -> Robot:
         joint.frame.restated({step.symbol: float(next(steps)) for step in joint.frame.steps}) for joint in robot.joints
     ]
     joints = tuple(replace(joint, frame=frame) for joint, frame in zip(robot.joints, frames, strict=True))
-    stands = placement_matrix([*robot.base.origin, *robot.base.rotation]) @ placement_matrix(dims["base"].ravel())
-    base = replace(robot.base, origin=vector(stands[:3, 3]), rotation=_angles(stands), known=True)
-    markers = {
-        name: replace(marker, point=vector(point), known=True)
-        for (name, marker), point in zip(robot.markers.items(), dims["markers"].T, strict=True)
-    }
-    tool, loop = robot.tool_rotation, robot.loop
-    if tool is not None:
-        turn = placement_matrix([0, 0, 0, *dims["tool_rotation"].ravel()])
-        tool = _angles(placement_matrix([0, 0, 0, *tool]) @ turn)
+    placed = with_placement_errors(robot, *(dims[name] for name in ("base", "tool_rotation", "markers")))
+    base = replace(robot.base, origin=placed.base.origin, rotation=placed.base.rotation, known=True)
+    markers = {name: replace(marker, known=True) for name, marker in placed.markers.items()}
+    loop = robot.loop
     if loop is not None:
         crank, rod, rocker = map(float, dims["bars"].ravel())
         loop = replace(loop, crank=replace(loop.crank, length=crank), rod=replace(loop.rod, length=rod), rocker=rocker)
-    return replace(robot, joints=joints, base=base, markers=markers, tool_rotation=tool, loop=loop)
-
-
-def _angles(stands: np.ndarray) -> Vector:
-    return vector(angles(Rotation.from_matrix(stands[:3, :3])))
+    return replace(placed, joints=joints, base=base, markers=markers, loop=loop)
 
 
 def cost_together(calibrated: CalibratedModel, robot: Robot, conditions: np.ndarray) -> tuple[NotExported, ...]:

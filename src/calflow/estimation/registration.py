@@ -202,7 +202,9 @@ def _located(robot: Robot, observed: tuple[Observation, ...], train: Measurement
     result, _ = fit(LeastSquares.of(model, train.on(placed), noise), loss="soft_l1")
     corrections = result.estimate[result.model.columns(model.effects[0])]
     dims = PlacementErrors(placed).dimensions(ca.SX(corrections), nominal_dimensions(placed), Row.symbols(placed))
-    return _moved(placed, *(np.array(ca.evalf(errors)) for errors in (dims.base, dims.tool_rotation, dims.markers)))
+    return with_placement_errors(
+        placed, *(np.array(ca.evalf(errors)) for errors in (dims.base, dims.tool_rotation, dims.markers))
+    )
 
 
 def in_measuring_frame(observed: tuple[Observation, ...], data: Measurements) -> np.ndarray:
@@ -215,7 +217,7 @@ def in_measuring_frame(observed: tuple[Observation, ...], data: Measurements) ->
     return here
 
 
-def _moved(robot: Robot, base: np.ndarray, tool: np.ndarray, markers: np.ndarray) -> Robot:
+def with_placement_errors(robot: Robot, base: np.ndarray, tool: np.ndarray, markers: np.ndarray) -> Robot:
     """Return the robot with errors of base (6, 1) and tool (3, 1), in their own frames, and markers at places (3, n_markers)."""
     turn = Rotation.from_euler("XYZ", robot.base.rotation)
     placed = {
