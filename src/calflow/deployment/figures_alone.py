@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from calflow.effects import Effect
-from calflow.estimation.accuracy import distances, errors, judged_unit
+from calflow.estimation.accuracy import distances, errors, judged_unit, mean_rms_max
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.fit import fit_sharing
 from calflow.estimation.noise import PerUnit, representative
@@ -214,13 +214,11 @@ def _judged(
         size = unit.shown(distances(error))
         promise = unit.shown(np.sqrt(distances(error - off["commands"]) ** 2 + variance))
         there = np.isfinite(size)
+        (mean, rms, most), (_, promised, _) = mean_rms_max(size[there]), mean_rms_max(promise[there])
+        split: Literal["train", "holdout"] = "holdout" if held else "train"
         levels.append(
-            EffortLevel(
-                level=level, split="holdout" if held else "train", unit=unit.label, mean=float(size[there].mean()),
-                rms=float(np.sqrt((size[there] ** 2).mean())), max=float(size[there].max()),
-                promised=float(np.sqrt((promise[there] ** 2).mean())),
-            )
-        )  # fmt: skip
+            EffortLevel(level=level, split=split, unit=unit.label, mean=mean, rms=rms, max=most, promised=promised)
+        )
     return tuple(levels)
 
 

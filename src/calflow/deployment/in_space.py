@@ -17,6 +17,7 @@ import scipy
 
 from calflow.deployment.attained import rigid_slope
 from calflow.design.candidates import candidates
+from calflow.estimation.accuracy import mean_rms_max
 from calflow.estimation.calibrated_model import CalibratedModel, choice_errors, points_at
 from calflow.estimation.prior_scale import by_scale, strays
 from calflow.files.tables import column
@@ -171,12 +172,8 @@ def space_rows(
 
 def _row(name: str, where: str, far: np.ndarray) -> SpaceError:
     far = 1e3 * far[np.isfinite(far)]
-    if not len(far):
-        return SpaceError(model=name, where=where, n=0, mean_mm=np.nan, rms_mm=np.nan, max_mm=np.nan)
-    rms = float(np.sqrt((far**2).mean()))
-    return SpaceError(
-        model=name, where=where, n=len(far), mean_mm=float(far.mean()), rms_mm=rms, max_mm=float(far.max())
-    )
+    mean, rms, most = mean_rms_max(far) if len(far) else (np.nan,) * 3
+    return SpaceError(model=name, where=where, n=len(far), mean_mm=mean, rms_mm=rms, max_mm=most)
 
 
 def over_ranges(rows: Sequence[SpaceError]) -> tuple[SpaceError, SpaceError]:

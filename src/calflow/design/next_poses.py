@@ -81,15 +81,16 @@ def uncertainties(
     _, slopes = probed(planned.problem(model, estimate, choices.conditions), estimate, asked)
     slopes = slopes.reshape(len(choices), -1, slopes.shape[1])
     n, smooth = len(estimate), len(estimate) + len(errors.sd)
-    # Their mean is no uncertainty: no further pose reduces it.
-    root = errors.root(errors.about_mean(fitted.covariance))[:, 1:]
     moved = errors.moved(model, estimate, at_task.conditions)
-    seen = slopes[:, :, :smooth] * np.append(np.ones(n), errors.sd)
-    tool, alone = np.concatenate([at_task.slopes, moved], axis=2), moved @ errors.spread
-    turn = _most_moving(alone)
+    at_poses, at_tool = slopes[:, :, :smooth] * np.append(np.ones(n), errors.sd), [at_task.slopes, moved]
+    # Their mean is no uncertainty: no further pose reduces it.
+    seen, tool = (
+        errors.shared(each, fitted.covariance)[:, :, 1:] for each in (at_poses, np.concatenate(at_tool, axis=2))
+    )
+    turn = _most_moving(tool[:, :, n:])
     uncertainties = [
-        Uncertainty(PARAMETERS, seen @ root, tool @ root),
-        Uncertainty("smooth errors", seen[:, :, n:] @ errors.spread @ turn, alone @ turn),
+        Uncertainty(PARAMETERS, seen[:, :, :n], tool[:, :, :n]),
+        Uncertainty("smooth errors", seen[:, :, n:] @ turn, tool[:, :, n:] @ turn),
     ]
     free = slopes[:, :, np.flatnonzero(~fitted.fit.at_bound)]
     ends = smooth + np.cumsum([0, *(suspect.response.shape[1] for suspect in suspects)])

@@ -221,11 +221,11 @@ def _drawn(
     covariance, every = at_task.fitted.with_smooth_errors(variance)
     errors = of_robot(every)
     moved = errors.moved(at_task.fitted.model, at_task.fitted.fit.estimate, at_task.conditions)
-    both = np.concatenate([at_task.slopes, moved], axis=2) @ errors.root(errors.about_mean(covariance))
-    n = at_task.slopes.shape[2]
-    drawn = rng.standard_normal((number, n + len(errors.sd)))
-    error = np.einsum("nap,kp->kna", both[:, :, 1:], drawn[:, :n], optimize=True)
-    smooth = both[:, :, 0] + np.einsum("nas,ks->kna", moved @ errors.spread, drawn[:, n:], optimize=True)
+    shared = errors.shared(np.concatenate([at_task.slopes, moved], axis=2), covariance)
+    mean, of_parameters, alone = np.split(shared, [1, 1 + len(covariance)], axis=2)
+    drawn = rng.standard_normal((number, len(covariance) + len(errors.sd)))
+    error = np.einsum("nap,kp->kna", of_parameters, drawn[:, : len(covariance)], optimize=True)
+    smooth = mean[:, :, 0] + np.einsum("nas,ks->kna", alone, drawn[:, len(covariance) :], optimize=True)
     return error, smooth + errors.rest[METRE] * rng.standard_normal(smooth.shape)
 
 

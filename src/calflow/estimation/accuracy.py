@@ -238,6 +238,11 @@ def distances(error: np.ndarray) -> np.ndarray:
     return np.where(np.isnan(error).all(axis=1), np.nan, np.sqrt(np.nansum(error**2, axis=1)))
 
 
+def mean_rms_max(size: np.ndarray) -> tuple[float, float, float]:
+    """Return the mean, the root mean square and the largest of sizes (n,)."""
+    return float(size.mean()), float(np.sqrt((size**2).mean())), float(size.max())
+
+
 def accuracy(
     name: str, error: np.ndarray, measured: Measurements, step: int = 0, added: Effect | None = None
 ) -> list[Accuracy]:
@@ -255,7 +260,7 @@ def accuracy(
         for split in ("train", "holdout"):
             part = unit.scale * size[judged & (measured.table["split"] == split).to_numpy()]
             if len(part):
-                figures = {"mean": part.mean(), "rms": np.sqrt((part**2).mean()), "max": part.max()}
+                figures = dict(zip(("mean", "rms", "max"), mean_rms_max(part), strict=True))
                 lengths = {f"{figure}_mm": value for figure, value in figures.items() if unit == METRE}
                 rows.append(Accuracy(model=name, split=split, n=len(part), step=step, unit=unit.label,
                                      **lengths, **figures, **what, **where))  # type: ignore[arg-type]  # fmt: skip

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from calflow.estimation.accuracy import errors
+from calflow.estimation.accuracy import errors, mean_rms_max
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.leverage import halved
 from calflow.estimation.noise import conditions
@@ -75,7 +75,7 @@ class FieldGain:
         """The result in a sentence."""
         if not self.blocks:
             return f"residual field ({NOT_PHYSICAL}) not applied: {self.poses} poses with positions are too few for it"
-        before, after = _rms(self.without), _rms(self.corrected)
+        before, after = (mean_rms_max(1e3 * each)[1] for each in (self.without, self.corrected))
         were = f"the root mean square goes from {before:.3f} mm to {after:.3f} mm"
         if not self.gains:
             return (
@@ -161,7 +161,8 @@ def field_summary(field: ResidualField | None, gain: FieldGain) -> FieldSummary:
     judged = gain.blocks > 0
     return FieldSummary(
         kind="not physical", applied=field is not None, statement=gain.statement, poses=gain.poses, blocks=gain.blocks,
-        rms_without_mm=_rms(gain.without) if judged else None, rms_corrected_mm=_rms(gain.corrected) if judged else None,
+        rms_without_mm=mean_rms_max(1e3 * gain.without)[1] if judged else None,
+        rms_corrected_mm=mean_rms_max(1e3 * gain.corrected)[1] if judged else None,
         p=gain.p, covered=gain.covered if judged else None,
         size_mm=1e3 * field.size if field else None, rest_mm=1e3 * field.rest if field else None,
         own_mm=1e3 * field.own if field else None, lengths=tuple(map(float, field.length)) if field else (),
@@ -194,12 +195,7 @@ def _judged(correction: str, calibrated: CalibratedModel, data: Measurements, er
 
 
 def _row(correction: str, where: str, distance: np.ndarray, covered: float | None) -> FieldAccuracy:
+    mean, rms, most = mean_rms_max(1e3 * distance)
     return FieldAccuracy(
-        correction=correction, where=where, n=len(distance), mean_mm=1e3 * float(distance.mean()),  # type: ignore[arg-type]
-        rms_mm=_rms(distance), max_mm=1e3 * float(distance.max()), covered=covered,
+        correction=correction, where=where, n=len(distance), mean_mm=mean, rms_mm=rms, max_mm=most, covered=covered  # type: ignore[arg-type]
     )  # fmt: skip
-
-
-def _rms(distance: np.ndarray) -> float:
-    """Return the root mean square of distances [m] in mm."""
-    return 1e3 * float(np.sqrt((distance**2).mean()))
