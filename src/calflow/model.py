@@ -253,10 +253,10 @@ class SymbolicPrediction:
         """Position of the marker as reported by a device in the measuring frame, (3,) [m]."""
         return self.device(self.point)
 
-    def device(self, seen: ca.SX) -> ca.SX:
-        """Return the position that a device reports for a point (3,) in its frame."""
+    def device(self, seen: ca.SX, name: str = "") -> ca.SX:
+        """Return the position that a device of this name reports for a point (3,) in its frame."""
         for effect, part in self.parts:
-            seen = effect.device(part, seen, self.row)
+            seen = effect.device(part, seen, self.row) if effect.concerns(name) else seen
         return seen
 
     def target(self, place: ca.SX) -> ca.SX:
@@ -442,7 +442,7 @@ class Model:
         asked = asked or Asked([], [])
 
         def device(point: ca.SX) -> ca.SX:
-            asked.reports.append(predicted.device(point))
+            asked.reports.append(predicted.device(point, observation.series.device))
             return asked.reports[-1]
 
         def target(point: ca.SX) -> ca.SX:

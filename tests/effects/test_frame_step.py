@@ -1,4 +1,4 @@
-"""A device of several that was moved once."""
+"""What was moved once, of several devices and a foot."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import pytest
+from scipy.spatial.transform import Rotation
 
 import calflow as cf
 
@@ -41,3 +43,29 @@ def test_a_station_that_moved_moves_no_other(tmp_path):
     q = rng.uniform(ARM["LOW"], ARM["HIGH"], (50, 6))
     off = cf.Calibration.load(tmp_path / "run").predict(q).position - ARM["ball"](q)
     assert np.linalg.norm(off.mean(axis=0)) < 1e-4  # in the first station's frame
+
+
+@pytest.mark.parametrize("moved", ["of station B", "of the robot's foot"])
+def test_stations_in_turn_tell_which_of_them_moved_or_whether_the_foot_did(tmp_path, moved):
+    """Fails if one of two stations in turn moves the other too, or the foot's shift is read in each station's own axes."""
+    rng, text, n = np.random.default_rng(8), HEAD, 120
+    stands, late = Rotation.from_euler("z", 1.9).as_matrix(), np.arange(n) >= 60
+    q = rng.uniform(ARM["LOW"], ARM["HIGH"], (n, 6))
+    ball = ARM["ball"](q)
+    foot = late[:, None] * SHIFT * (moved != "of station B")
+    in_b = (ball + foot - [5.1, 2.2, 0.1]) @ stands + late[:, None] * SHIFT * (moved == "of station B")
+    for k, (name, seen) in enumerate({"A": ball + foot, "B": in_b}.items()):
+        table = pd.DataFrame(np.degrees(q), columns=[f"q{i}_deg" for i in range(1, 7)])
+        table[["x_mm", "y_mm", "z_mm"]] = 1e3 * (seen + rng.normal(0, 2e-5, (n, 3)))
+        table.assign(time_s=60.0 * np.arange(n), split="train")[k::2].to_csv(tmp_path / f"{name}.csv", index=False)
+        text += f'[[measurements]]\nname = "{name}"\nfile = "{name}.csv"\nsigma_mm = 0.02\n'
+        text += f'[measurements.station]\nname = "{name}"\n'
+    (tmp_path / "study.toml").write_text(text)
+    run = cf.run(cf.load_study(tmp_path / "study.toml"), tmp_path / "run")
+    found = run.tables["diagnose/findings.csv"].query("cause == 'frame-step'")
+    assert len(found) == 1
+    assert found["detail"].iloc[0].endswith(moved)
+    q = rng.uniform(ARM["LOW"], ARM["HIGH"], (50, 6))
+    off = cf.Calibration.load(tmp_path / "run").predict(q).position - ARM["ball"](q)
+    left = SHIFT * (moved != "of station B")  # in the first station's frame, the foot as it was left
+    assert np.linalg.norm(off.mean(axis=0) - left) < 1e-4

@@ -369,6 +369,10 @@ class Effect(ABC):
         """Return variants between this one and its neighbours, for refinement of the search."""
         return ()
 
+    def concerns(self, device: str) -> bool:
+        """Whether a device of this name (see `Series.device`; empty: any) has it."""
+        return True
+
     def undecided(self, data: Measurements) -> np.ndarray:
         """Return the rows (n_rows,) in which the fitted rows do not tell whether it acts."""
         return np.zeros(len(data), dtype=bool)
@@ -559,6 +563,10 @@ class ActingEffect(Effect):
     def completing(self, data: Measurements) -> tuple[Effect, ...]:
         """Return those of the effect that acts."""
         return self._acting_effect.completing(data)
+
+    def concerns(self, device: str) -> bool:
+        """Whether the effect that acts does."""
+        return self._acting_effect.concerns(device)
 
     def undecided(self, data: Measurements) -> np.ndarray:
         """Return those of the effect that acts."""

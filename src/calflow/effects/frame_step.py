@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -9,23 +10,25 @@ import casadi as ca
 import numpy as np
 
 from calflow.effects.base import OF_THE_FRAME, Words
-from calflow.effects.step_change import StepChange, between_fitted
+from calflow.effects.step_change import FEWEST, StepChange, between_fitted
 from calflow.measurements.measurements import Measurements
-from calflow.robot.mechanism import Row
+from calflow.robot.mechanism import Dimensions, Row
 from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
+
+FOOT = "the robot's foot"
 
 
 @dataclass(frozen=True)
 class FrameStep(StepChange):
     """Reported position - (x, y, z), and with turning - r x position (about the measuring frame's origin), up to a row.
 
-    A change between two sessions is the frame of a session instead (see `session_frame`). Rows up to one in measuring order
-    (since) are not concerned: those of other devices, used before.
+    A change between two sessions is the frame of a session instead (see `session_frame`). Where there are several devices it is
+    of one of them, or of the robot's foot, which moves it in its base's axes: all that are in use see that.
     """
 
     turning: bool = False
-    since: float = 0.0
+    of: str = ""
 
     id = "frame-step"
     title = "step of the measuring device"
@@ -42,26 +45,33 @@ class FrameStep(StepChange):
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
-        """Return each form at moments between rows, of the device then in use."""
-        return tuple(replace(each, since=_begun(data, each.moment)) for each in super().variants(robot, data))
+        """Return each form at moments between rows, of whatever may have moved then."""
+        steps = super().variants(robot, data)
+        return tuple(replace(each, of=name) for each in steps for name in _movable(data, each.moment))
 
-    def finer(self, data: Measurements) -> tuple[Self, ...]:
-        """Return the moments about this one that the coarse search left out, of the device then in use."""
-        return tuple(replace(each, since=_begun(data, each.moment)) for each in super().finer(data))
+    def concerns(self, device: str) -> bool:
+        """Whether it is of this device, or of the foot, which all devices see."""
+        return self.of in ("", FOOT, device)
 
-    def before(self, row: Row) -> ca.SX:
-        """Return 1 for a row of the device before the step, else 0 (see `StepChange.before`)."""
-        return super().before(row) * (row.order > self.since) if self.since else super().before(row)
+    def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
+        """Return the dimensions with the foot where it stood before the moment."""
+        before = self.before(row)
+        if self.of != FOOT or not before.nnz():
+            return dims
+        return replace(dims, base=dims.base - before * ca.vertcat(p, ca.SX(6 - p.numel(), 1)))
 
     def undecided(self, data: Measurements) -> np.ndarray:
         """Return the rows of which the fitted ones do not tell whether they are of the device before the step."""
-        about = super().undecided(data)
-        return about | between_fitted(data, self.since) if self.since else about
+        about = _seen_by(self.of, data)
+        about[about] = between_fitted(data.only(about), self.moment)
+        return about
 
     @property
     def detail(self) -> str:
-        """The row after which it moved, and whether it rotated."""
-        return f"{super().detail}{', turned too' if self.turning else ''}"
+        """The row after which it moved, whether it rotated, and which device it was."""
+        return ", ".join(
+            filter(None, (super().detail, "turned too" if self.turning else "", self.of and f"of {self.of}"))
+        )
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the shift, and the rotation."""
@@ -69,20 +79,26 @@ class FrameStep(StepChange):
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
         """Return the point, as it was reported before the moment."""
-        return self.undone(p, point, row)
+        return point if self.of == FOOT else self.undone(p, point, row)
 
 
-def _begun(data: Measurements, moment: float) -> float:
-    """Return the place in measuring order after which the device in use at a moment was: 0 where it is used from the start.
+def _seen_by(of: str, data: Measurements) -> np.ndarray:
+    """Return the rows (n_rows,) of a device, or all."""
+    return np.array([of in ("", FOOT, series.device) for series in data.series])[data.series_number]
 
-    Positions from one station are of one device, and so is every other series. Devices used in turn move together: it is the
-    robot's foot then.
+
+def _movable(data: Measurements, moment: float) -> Iterator[str]:
+    """Yield what may have moved at a moment: the only device, or each that is used before and after, and the foot.
+
+    The foot is left out where one of several devices is used: the others stand as they did, and only its rows tell.
     """
-    positions = data.table["x"].notna().to_numpy() if "x" in data.table else np.zeros(len(data), dtype=bool)
-    names = [one.station.name if positions[data.of_series(k)].any() else k for k, one in enumerate(data.series)]
-    device = np.array([names.index(name) for name in names])[data.series_number]
-    order = data.table["order"].to_numpy(float)
-    own = device == device[np.abs(order - moment).argmin()]
-    first, last = order[own].min(), order[own].max()
-    alone = first < moment < last and own[(order >= first) & (order <= last)].all()
-    return float(first - 0.5) if alone and (order < first).any() else 0.0
+    devices = tuple(dict.fromkeys(series.device for series in data.series))
+    if len(devices) == 1:
+        yield ""
+        return
+    before = data.table["order"].to_numpy(float) < moment
+    rows = {name: _seen_by(name, data) for name in devices}
+    used = [name for name, own in rows.items() if min((own & before).sum(), (own & ~before).sum()) >= FEWEST]
+    yield from used
+    if len(used) != 1:
+        yield FOOT

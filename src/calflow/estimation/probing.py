@@ -110,7 +110,7 @@ class Probe:
 
     graphs: function of a row for each of the problem's blocks; bases: derivatives of the inner quantities by the effects'
     parameters, empty where an observation does not report a single point, the graphs then holding all derivatives; width: number
-    of the effects' parameters.
+    of the effects' parameters; foreign: of each block, the columns of effects that its device does not have.
     """
 
     problem: LeastSquares
@@ -118,22 +118,25 @@ class Probe:
     graphs: tuple[ca.Function, ...]
     bases: tuple[Basis, ...]
     width: int
+    foreign: tuple[np.ndarray, ...]
 
     @staticmethod
     def of(problem: LeastSquares, p: np.ndarray, effects: Sequence[Effect]) -> Probe:
         """Return the probe of a problem at p, with graphs built once per model."""
         model = problem.model
+        foreign = tuple(_foreign(effects, block.observation.series.device) for block in problem.blocks)
         if not effects:  # the graphs of the fit serve
-            return Probe(problem, p, tuple(block.graph for block in problem.blocks), (), 0)
+            return Probe(problem, p, tuple(block.graph for block in problem.blocks), (), 0, foreign)
         bases, width = _bases(effects, model.given)
         moved = problem.on(replace(model, probes=(Levers(model.robot),)))
         pairs = zip(problem.blocks, moved.blocks, strict=True)
         graphs = tuple(graph for block, with_levers in pairs if (graph := _graph(block, with_levers)))
         if len(graphs) == len(problem.blocks):
-            return Probe(problem, np.append(p, np.zeros(_width(Inner.still(model.robot)))), graphs, tuple(bases), width)
+            still = np.zeros(_width(Inner.still(model.robot)))
+            return Probe(problem, np.append(p, still), graphs, tuple(bases), width, foreign)
         large = replace(model, probes=tuple(effects))
         graphs = tuple(block.graph for block in problem.on(large).blocks)
-        return Probe(problem, np.append(p, large.nominal[len(p) :]), graphs, (), width)
+        return Probe(problem, np.append(p, large.nominal[len(p) :]), graphs, (), width, foreign)
 
     def compiled(self, passes: int) -> Probe:
         """Return the same with graphs compiled, where that pays for the given number of passes over all rows."""
@@ -155,7 +158,7 @@ class Probe:
     def parts(self) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
         """Yield, for some hundred residuals at a time, their slice, and the decorrelated residuals and Jacobian."""
         start, n = 0, self.n_parameters
-        for block, graph in zip(self.problem.blocks, self.graphs, strict=True):
+        for block, graph, foreign in zip(self.problem.blocks, self.graphs, self.foreign, strict=True):
             for part in block.parts(size=ROWS):
                 left, slopes, *state = over_rows(graph, self.p, *part.data)
                 slopes = slopes.T.reshape(left.shape[1], block.n_units, -1)
@@ -167,6 +170,7 @@ class Probe:
                         moved *= over_rows(basis.function, np.zeros(0), state[0], part.conditions)[0].T[:, None]
                         first = np.flatnonzero(np.diff(basis.column, prepend=-1))
                         slopes[:, :, n + basis.column[first]] = np.add.reduceat(moved, first, axis=2)
+                    slopes[:, :, n + foreign] = 0.0
                 rows, start = slice(start, start + left.size), start + left.size
                 yield rows, part.decorrelated(left.T).ravel(), part.decorrelated(slopes).reshape(-1, self.shape[1])
 
@@ -184,6 +188,13 @@ def probed(problem: LeastSquares, p: np.ndarray, effects: Sequence[Effect]) -> t
     Its columns are the model's parameters, then those of the additional effects, at nominal values.
     """
     return Probe.of(problem, p, effects).whole()
+
+
+def _foreign(effects: Sequence[Effect], device: str) -> np.ndarray:
+    """Return the columns of the effects that a device does not have."""
+    return np.flatnonzero(
+        np.repeat([not each.concerns(device) for each in effects], [len(each.declared) for each in effects])
+    )
 
 
 def _bases(effects: Sequence[Effect], given: tuple[str, ...]) -> tuple[list[Basis], int]:

@@ -68,6 +68,13 @@ class Series:
     labels: tuple[str, ...] = ()
     within: tuple[str, ...] = ()
 
+    @property
+    def device(self) -> str:
+        """Name of its device: positions from one station are of one, and so is every other series."""
+        if self.kind in ("", "position", "pose"):
+            return " ".join(filter(None, ("station", self.station.name)))
+        return self.name or self.kind
+
     def kind_in(self, table: pd.DataFrame) -> str:
         """Return the kind of a table that has the rows of this series alone."""
         return self.kind or ("pose" if {"rx", "qw"} & set(table) else "position")
