@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 import scipy
@@ -26,6 +25,7 @@ from calflow.estimation.progress import nobody
 from calflow.estimation.variance_components import refitted_cost
 from calflow.files.problems import Problem, refuse_any
 from calflow.files.toml import Count, FalseAlarm, checked_arguments
+from calflow.model import consecutive
 
 __all__ = [
     "Block", "LinearAdequacy", "LinearDiagnosis", "LinearFinding", "LinearNoise", "LinearRival", "diagnose_linear",
@@ -112,8 +112,8 @@ class LinearProblem:
     @cached_property
     def candidates(self) -> tuple[Candidate[Block], ...]:
         """The blocks, each with the indices of its columns of matrix."""
-        ends = np.cumsum([0, *(block.n_parameters for block in self.blocks)])
-        return tuple(Candidate(b, np.arange(i, j)) for b, i, j in zip(self.blocks, ends[:-1], ends[1:], strict=True))
+        own = consecutive(block.n_parameters for block in self.blocks)
+        return tuple(Candidate(block, np.r_[span]) for block, span in zip(self.blocks, own, strict=True))
 
     def columns(self, blocks: Sequence[Block]) -> np.ndarray:
         """Return the indices of the given blocks' columns of matrix."""
@@ -290,8 +290,8 @@ class LinearTrial(Trial[Block]):
     @property
     def _columns(self) -> list[np.ndarray]:
         """The indices of each block's columns of the design."""
-        ends = len(self.problem.prior_sd) + np.cumsum([0, *(block.n_parameters for block in self.blocks)])
-        return [np.arange(i, j) for i, j in pairwise(ends)]
+        own = consecutive([len(self.problem.prior_sd), *(block.n_parameters for block in self.blocks)])[1:]
+        return [np.r_[span] for span in own]
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,10 @@ import stat
 import subprocess
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -364,8 +364,7 @@ class Model:
     @cached_property
     def _spans(self) -> tuple[slice, ...]:
         """The slice of each part's parameters among the declared ones."""
-        ends = np.cumsum([0, *(len(part.declared) for part in self.parts)])
-        return tuple(slice(int(i), int(j)) for i, j in pairwise(ends))
+        return tuple(consecutive(len(part.declared) for part in self.parts))
 
     def _completed(self, p: ca.SX) -> ca.SX:
         """Return the declared parameters: the symbols of the free ones, and the values of those held fixed."""
@@ -622,6 +621,11 @@ def _class(effect: str | type[Effect]) -> type[Effect]:
     if kind := effect_class(effect):
         return kind
     raise refuse(f"unknown effect '{effect}'{nearest(effect, catalogue())}", key="effects")
+
+
+def consecutive(widths: Iterable[int]) -> list[slice]:
+    """Return the slices of consecutive parts, by the number of columns of each."""
+    return [slice(start, end) for start, end in pairwise(accumulate(widths, initial=0))]
 
 
 def over_rows(function: ca.Function, p: np.ndarray, *rows: np.ndarray) -> list[np.ndarray]:

@@ -36,6 +36,7 @@ from calflow.files.tables import StoredResults, column
 from calflow.files.toml import FalseAlarm, Seed, checked_arguments
 from calflow.files.words import first_up, rounded
 from calflow.measurements.measurements import Measurements
+from calflow.model import consecutive
 from calflow.robot.mechanism import READINGS, reading_columns, shown_readings
 from calflow.robot.robot import Robot
 
@@ -164,9 +165,7 @@ def _criteria(
         sd = explained.movement.sd
         seen.append(check.columns(explained.movement, explained.since) * sd / whitening)
         new.append(there[explained.movement.name].slope * sd / sigma)
-    common, *own = np.split(
-        np.arange(sum(part.shape[1] for part in seen)), np.cumsum([part.shape[1] for part in seen])[:-1]
-    )
+    common, *own = (np.r_[span] for span in consecutive(part.shape[1] for part in seen))
     effects = [explained.size / explained.movement.sd for explained in every]
     return TCriterion.between(np.hstack(seen), np.concatenate(new, axis=2), common, own, effects, [0.0] * len(every))
 

@@ -28,6 +28,7 @@ from calflow.files.deferred import pd
 from calflow.files.problems import refuse
 from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements
+from calflow.model import consecutive
 from calflow.robot.parts import Parameter
 
 Kind = Literal["zero", "station", "tool", "dimension", "cause", "condition"]
@@ -321,11 +322,10 @@ class CheckProblem:
         columns = np.hstack([self.columns(explained.movement, explained.since) for explained in best]) * sd
         mean, inverse = _posterior(np.linalg.solve(factor, columns), np.linalg.solve(factor, self.error))
         size, covariance = sd * mean, np.outer(sd, sd) * inverse
-        ends = np.cumsum([len(explained.size) for explained in best])
-        spans = [slice(end - len(explained.size), end) for explained, end in zip(best, ends, strict=True)]
+        own = consecutive(len(explained.size) for explained in best)
         return tuple(
             replace(explained, size=size[span], covariance=covariance[span, span])
-            for explained, span in zip(best, spans, strict=True)
+            for explained, span in zip(best, own, strict=True)
         )
 
     def remaining_error_p(self, rounds: Sequence[SearchRound]) -> float:

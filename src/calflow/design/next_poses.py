@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -44,7 +43,7 @@ from calflow.files.problems import refuse
 from calflow.files.tables import Results, column, to_document, typed
 from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements
-from calflow.model import Model
+from calflow.model import Model, consecutive
 
 MOST_LACKS, DIRECTIONS = 4, 10  # lacking effects for which poses are chosen, and directions of each
 PARAMETERS, PRECISION = "parameters", "less uncertainty of the tool over the task"
@@ -93,12 +92,12 @@ def uncertainties(
         Uncertainty("smooth errors", seen[:, :, n:] @ turn, tool[:, :, n:] @ turn),
     ]
     free = slopes[:, :, np.flatnonzero(~fitted.fit.at_bound)]
-    ends = smooth + np.cumsum([0, *(suspect.response.shape[1] for suspect in suspects)])
-    for suspect, moved, start, end in zip(suspects, at_task.by(suspects), ends[:-1], ends[1:], strict=True):
+    columns = consecutive([smooth, *(suspect.response.shape[1] for suspect in suspects)])[1:]
+    for suspect, moved, span in zip(suspects, at_task.by(suspects), columns, strict=True):
         root = np.sqrt(suspect.probability) * suspect.root
         root = root @ _most_moving(moved @ root)
         uncertainties.append(
-            Uncertainty(suspect.name, (slopes[:, :, start:end] + free @ suspect.response) @ root, moved @ root)
+            Uncertainty(suspect.name, (slopes[:, :, span] + free @ suspect.response) @ root, moved @ root)
         )
     if planned.observation.units == (METRE,) * 3:
         both = (choices.conditions, at_task.conditions)
@@ -168,8 +167,7 @@ def _reason(every: Sequence[Uncertainty], criterion: ToolError, before: np.ndarr
     """Return in words the uncertainty that a pose reduces most."""
     gone = np.linalg.inv(before) - np.linalg.inv(after)
     moved = (criterion.root @ criterion.root.T) * gone
-    ends = np.cumsum([0, *(doubt.seen.shape[2] for doubt in every)])
-    gains = [float(moved[i:j, i:j].sum()) for i, j in pairwise(ends)]
+    gains = [float(moved[span, span].sum()) for span in consecutive(doubt.seen.shape[2] for doubt in every)]
     best = every[int(np.argmax(gains))].name
     return PRECISION if best == PARAMETERS else f"suspected: {best}"
 

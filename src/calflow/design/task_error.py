@@ -30,6 +30,7 @@ from calflow.estimation.smooth_functions import Wandering
 from calflow.estimation.variance_components import SIZES
 from calflow.files.units import METRE
 from calflow.measurements.series import Series
+from calflow.model import consecutive
 from calflow.observations.position import Position
 
 UNINFORMATIVE = 0.98  # posterior over prior variance above which the data are uninformative
@@ -152,10 +153,10 @@ class TaskSlopes:
         """Return for each cause the tool's displacement by a unit of each of its parameters, after refitting, (n_points, 3, n)."""
         free = self.slopes[:, :, np.flatnonzero(~self.fitted.fit.at_bound)]
         moved = self.moved(tuple(cause.cause for cause in causes))
-        ends = np.cumsum([0, *(cause.response.shape[1] for cause in causes)])
+        own = consecutive(cause.response.shape[1] for cause in causes)
         return [
-            free @ cause.response + (0.0 if cause.cause.of_measuring() else moved[:, :, start:end])
-            for cause, start, end in zip(causes, ends[:-1], ends[1:], strict=True)
+            free @ cause.response + (0.0 if cause.cause.of_measuring() else moved[:, :, span])
+            for cause, span in zip(causes, own, strict=True)
         ]
 
 

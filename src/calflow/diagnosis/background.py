@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import pairwise
 
 import casadi as ca
 import numpy as np
@@ -27,6 +26,7 @@ from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.residual_field import learnt
 from calflow.estimation.smooth_functions import JointField, SmoothFunction, beside_joints, moved_together
 from calflow.estimation.variance_components import USUAL, VarianceComponents
+from calflow.model import consecutive
 from calflow.robot.mechanism import Deflection, Row, State
 
 JOINTS = ("joints",)  # inputs of the field
@@ -107,16 +107,15 @@ class BackgroundBasis:
         spectrum = np.concatenate([effect.spectrum for _, effects in kinds for effect in effects])
         scale = regressors.prior_sd * spectrum
         shown = regressors.matrix.products(np.arange(len(scale))) * scale[:, None] * scale
-        ends = np.cumsum([0, *(sum(len(effect.declared) for effect in effects) for _, effects in kinds)])
-        spans = [slice(i, j) for i, j in pairwise(ends)]
+        columns = consecutive(sum(len(effect.declared) for effect in effects) for _, effects in kinds)
         # A wire or a socket has no reported position: errors that depend on it move none of its residuals.
-        moving = [k for k, span in enumerate(spans) if shown.diagonal()[span].any()]
+        moving = [k for k, span in enumerate(columns) if shown.diagonal()[span].any()]
         root = _root(shown)
         square, axes = np.linalg.eigh(root.T @ root)
         kept = np.argsort(-square)[: min(MODES, int(np.count_nonzero(square > ROUNDING * square[-1])))]
         whole = (root @ axes[:, kept]).T
         # LAPACK's gesdd may fail on nearly dependent functions.
-        svds = (scipy.linalg.svd(whole[:, spans[k]], full_matrices=False, lapack_driver="gesvd") for k in moving)
+        svds = (scipy.linalg.svd(whole[:, columns[k]], full_matrices=False, lapack_driver="gesvd") for k in moving)
         parts = tuple((left * value)[:, value > FAINT * value[0]] for left, value, _ in svds)
         modes = regressors.matrix.times(scale[:, None] * whole.T / square[kept])
         return BackgroundBasis(modes, tuple(kinds[k] for k in moving), parts, fitted.problem.weight)

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import pairwise, starmap
 
 import numpy as np
 
@@ -23,7 +22,7 @@ from calflow.effects.cause import Cause
 from calflow.estimation.calibrated_model import MANY
 from calflow.estimation.variance_components import HALF_NORMAL, SIZES, directions, explained, log_likelihood
 from calflow.measurements.measurements import Measurements
-from calflow.model import Model
+from calflow.model import Model, consecutive
 
 SHARE = 0.1  # of a cause's effect: usual standard deviation of its form error
 ORDERS = 4  # of the Legendre polynomials of a cause's variable
@@ -55,12 +54,12 @@ def with_form_errors(finding: Detection[Cause], fitted: Fitted, apart: Regressor
         for rows, x in apart.matrix.blocks():
             yield rows, np.hstack([form.regressors(rows, x) for form in forms])
 
-    ends = np.cumsum([0, *(form.width for form in forms)])
-    seen = Screening(apart.only(()).moving(TallMatrix((len(row), ends[-1]), blocks)))
-    information = seen.information(np.arange(ends[-1]))
+    width = sum(form.width for form in forms)
+    seen = Screening(apart.only(()).moving(TallMatrix((len(row), width), blocks)))
+    information = seen.information(np.arange(width))
     gains = {
         form.score.cause: form.gain(information[span, span], seen.score[span], apart.prior_sd, seen)
-        for form, span in zip(forms, starmap(slice, pairwise(ends)), strict=True)
+        for form, span in zip(forms, consecutive(form.width for form in forms), strict=True)
     }
     place, usual = finding.cause.place, gains[finding.cause]
     weighed = [replace(score, cost=score.cost - gains.get(score.cause, usual)) for score in finding.scores]

@@ -22,6 +22,7 @@ from calflow.effects.cause import Cause, parts
 from calflow.estimation.fit import Fit
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.probing import Probe
+from calflow.model import consecutive
 
 SMALL_MODE = 0.02  # a mode's variance over the noise's, below which it changes no test
 HELD = 100_000_000  # matrix entries that are kept in memory
@@ -343,14 +344,13 @@ class Regressors(Generic[H]):
         """Return a copy with a subset of the candidates, and their columns alone."""
         kept = tuple(candidates)
         columns = np.concatenate([np.zeros(0, dtype=int), *(candidate.columns for candidate in kept)])
-        ends = np.cumsum([len(candidate.columns) for candidate in kept])
+        own = consecutive(len(candidate.columns) for candidate in kept)
         return replace(
             self,
             matrix=self.matrix.only(columns),
             prior_sd=self.prior_sd[columns],
             candidates=tuple(
-                Candidate(candidate.cause, np.arange(end - len(candidate.columns), end))
-                for candidate, end in zip(kept, ends, strict=True)
+                Candidate(candidate.cause, np.r_[span]) for candidate, span in zip(kept, own, strict=True)
             ),
             amplitude_freedom=None if self.amplitude_freedom is None else self.amplitude_freedom[columns],
             added_up=self.products.only(columns),

@@ -279,10 +279,14 @@ class Camera(Observation):
         )
         return camera, target
 
+    def _which(self, reported: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the numbers of camera and target, each (n_rows,), in what the rows report (5 + both, n_rows)."""
+        of_camera, of_target = np.split(reported[5:], [len(self.cameras)])
+        return of_camera.argmax(axis=0), of_target.argmax(axis=0)
+
     def _faced(self, table: pd.DataFrame, hand: np.ndarray, base: np.ndarray) -> Self:
         """The observation with the sides from which its targets are seen."""
-        n, which = len(self.cameras), self.reported(table)
-        of_camera, of_target = which[5 : 5 + n].argmax(axis=0), which[5 + n :].argmax(axis=0)
+        of_camera, of_target = self._which(self.reported(table))
         eyes, boards = (
             np.array([placement_matrix(placed.place) for placed in every]) for every in (self.cameras, self.targets)
         )
@@ -299,11 +303,10 @@ class Camera(Observation):
     def _begun(self, table: pd.DataFrame, images: np.ndarray, hand: np.ndarray, base: np.ndarray) -> Self:
         """Lens and places in closed form, each camera and target by the images of one that was placed already, if there are any."""
         which = self.reported(table)
-        n = len(self.cameras)
-        of_camera, of_target = which[5 : 5 + n].argmax(axis=0), which[5 + n :].argmax(axis=0)
+        of_camera, of_target = self._which(which)
         image, point = which[:2].T, which[2:5].T
         cameras, targets = list(self.cameras), list(self.targets)
-        placed = {("camera", k) for k in range(n) if self.series.setting("camera_origin") is not None}
+        placed = {("camera", k) for k in range(len(cameras)) if self.series.setting("camera_origin") is not None}
         placed |= {("target", k) for k in range(len(targets)) if self.series.setting("target_origin") is not None}
         for c, t in sorted({*zip(of_camera.tolist(), of_target.tolist(), strict=True)}):
             rows = np.flatnonzero((of_camera == c) & (of_target == t))
@@ -463,7 +466,7 @@ class Camera(Observation):
         hand, base = self._frames(links, len(table))
         every = [np.array(ca.DM(figures)).ravel() for figures in _spread(self._described, ca.SX(values))]
         n, which = len(self.cameras), self.reported(table)
-        of_camera, of_target = which[5 : 5 + n].argmax(axis=0), which[5 + n :].argmax(axis=0)
+        of_camera, of_target = self._which(which)
         eyes = [
             placement_matrix(eye.place) @ placement_matrix(figures[:6])
             for eye, figures in zip(self.cameras, every[:n], strict=True)
