@@ -109,3 +109,20 @@ def test_residuals_tell_the_growth_where_nothing_was_repeated():
     assert abs(seen.slope - 2e-5) < 4 * seen.sd
     assert growth_of_repeats(fitted(1, none), 1e-3) is None
     assert of_residuals(fitted(2, none, lambda r: 1e-5 + 2e-5 * r), 1e-3) is None
+
+
+def test_of_two_set_ups_the_further_one_may_be_the_noisier():
+    """Fails if a day of other noise, on which the device stood further off, is named as noise that grows with range."""
+
+    def noisier(table):
+        return np.where(np.arange(len(table)) % 2, 4e-5, 2e-6)[:, None] * np.random.default_rng(3).standard_normal(
+            (len(table), 3)
+        )
+
+    seen = fitted(1, noisier)
+    far = np.arange(len(seen.data)) % 2 == 1
+    table = seen.data.table.assign(range=seen.data.table["range"] + 2.0 * far)
+    assert growth_of_residuals(replace(seen, data=replace(seen.data, table=table))) is not None
+    days = table.assign(session=np.where(far, "tue", "mon"))
+    grown = growth_of_residuals(replace(seen, data=replace(seen.data, table=days)))
+    assert grown is None or grown.p > 0.01

@@ -46,13 +46,14 @@ class Growth:
 class SpreadByRange:
     """Squared scatter (n,) [m²] of single measurements, its degrees of freedom (n,), and ranges, distance (n,) [m].
 
-    stated (n,) [m] is the assumed noise of the device there.
+    stated (n,) [m] is the assumed noise of the device there, setup (n,) the number of the device and session.
     """
 
     squared: np.ndarray
     freedom: np.ndarray
     stated: np.ndarray
     distance: np.ndarray
+    setup: np.ndarray
 
 
 def growth_of_repeats(fitted: Fitted, significance: float) -> Growth | None:
@@ -81,9 +82,21 @@ def growth_of_residuals(fitted: Fitted) -> Growth | None:
 
 
 def _rank_test(spread: SpreadByRange) -> float:
-    """Return the p-value of growth by rank correlation (Spearman 1904), which is valid for any tails of the noise."""
+    """Return the p-value of growth by rank correlation (Spearman 1904), which is valid for any tails of the noise.
+
+    Only growth within a set-up counts: of two devices the further one may be the noisier.
+    """
     beyond = spread.squared / spread.freedom / spread.stated**2
-    return float(scipy.stats.spearmanr(beyond, spread.distance, alternative="greater").pvalue)
+    setups = np.unique(spread.setup, return_inverse=True)[1]
+    of_setup = np.eye(setups.max() + 1)[setups]
+    ranks = scipy.stats.rankdata([beyond, spread.distance], axis=1)
+    within = ranks - (ranks @ of_setup / of_setup.sum(axis=0)) @ of_setup.T
+    freedom = len(beyond) - 1 - of_setup.shape[1]
+    size = float(np.prod(np.linalg.norm(within, axis=1)))
+    if freedom < 1 or not size:
+        return 1.0
+    correlation = min(float(within[0] @ within[1]) / size, 1.0)
+    return float(scipy.stats.t.sf(correlation * np.sqrt(freedom / max(1 - correlation**2, 1e-300)), freedom))
 
 
 def _of_repeats(fitted: Fitted) -> SpreadByRange | None:
@@ -99,7 +112,11 @@ def _of_repeats(fitted: Fitted) -> SpreadByRange | None:
     if scatter.freedom.sum() < MIN_REPEATS:
         return None
     return SpreadByRange(
-        scatter.squared, scatter.freedom, (noise.sigma * np.sqrt(data.repeats))[usable], distance[usable]
+        scatter.squared,
+        scatter.freedom,
+        (noise.sigma * np.sqrt(data.repeats))[usable],
+        distance[usable],
+        _setups(data)[usable],
     )
 
 
@@ -117,7 +134,14 @@ def _by_range(fitted: Fitted, error: np.ndarray, rows: np.ndarray) -> SpreadByRa
     """Return the errors (n, 3) [m] of rows (n,) as a spread."""
     stated = (fitted.device.sigma * np.sqrt(fitted.data.repeats))[rows]
     distance = fitted.data.table[RANGE].to_numpy()[rows]
-    return SpreadByRange((error**2).sum(axis=1), np.full(len(rows), 3.0), stated, distance)
+    return SpreadByRange((error**2).sum(axis=1), np.full(len(rows), 3.0), stated, distance, _setups(fitted.data)[rows])
+
+
+def _setups(data: Measurements) -> np.ndarray:
+    """Return the number (n_rows,) of each row's device and session."""
+    session = data.table["session"].astype(str) if "session" in data.table else ""
+    table = data.table[[]].assign(series=data.series_number, session=session)
+    return np.asarray(table.groupby(["series", "session"]).ngroup())
 
 
 def _without_what_is_smooth(error: np.ndarray, joints: np.ndarray, place: np.ndarray) -> np.ndarray:
