@@ -1,0 +1,55 @@
+"""A scale that one of two devices has."""
+
+from __future__ import annotations
+
+import runpy
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import calflow as cf
+
+FIRST_STEPS = Path(__file__).parents[2] / "studies" / "first-steps"
+ARM = runpy.run_path(str(FIRST_STEPS / "measured.py"))  # an arm by NumPy and SciPy alone
+HEAD = (
+    (FIRST_STEPS / "tracker.toml")
+    .read_text()
+    .split("[measurements]")[0]
+    .replace("arm.toml", str(FIRST_STEPS / "arm.toml"))
+)
+ANCHOR = np.array([1.6, 0.4, -0.2])
+
+
+@pytest.mark.parametrize("anchor_known", [True, False])
+@pytest.mark.parametrize("scale", [1e-3, 0.0])
+def test_a_wire_beside_a_tracker_shows_that_its_scale_is_not_the_stated_one(tmp_path, scale, anchor_known):
+    """Fails if a wire's wrong scale is taken for a cause of the robot, bends its lengths, or is told where there is none."""
+    rng, text = np.random.default_rng(12), HEAD
+    q = rng.uniform(ARM["LOW"], ARM["HIGH"], (120, 6))
+    ball = ARM["ball"](q)
+    length = (1 + scale) * np.linalg.norm(ball - ANCHOR, axis=1) + rng.normal(0, 3e-5, 120)
+    seen = 1e3 * (ball + rng.normal(0, 2e-5, ball.shape))
+    readings = pd.DataFrame(np.degrees(q), columns=[f"q{i}_deg" for i in range(1, 7)])
+    readings[["x_mm", "y_mm", "z_mm"]] = seen
+    readings[:50].to_csv(tmp_path / "tracker.csv", index=False)
+    readings[50:].drop(columns=["x_mm", "y_mm", "z_mm"]).assign(length_mm=1e3 * length[50:]).to_csv(
+        tmp_path / "wire.csv", index=False
+    )
+    text += '[[measurements]]\nfile = "tracker.csv"\nsigma_mm = 0.02\n'
+    text += '[[measurements]]\nname = "wire"\nkind = "distance"\nfile = "wire.csv"\nsigma_mm = 0.03\n'
+    text += f"[measurements.settings]\nanchor_mm = {(1e3 * ANCHOR).tolist()}\nanchor_known = {str(anchor_known).lower()}\n"
+    text += "offset_mm = 0\nscale_um_per_m = 0\n"
+    (tmp_path / "study.toml").write_text(text)
+    run = cf.run(cf.load_study(tmp_path / "study.toml"), tmp_path / "run")
+    found = run.tables["diagnose/findings.csv"].set_index("cause")
+    assert "tool-slip" not in found.index
+    assert ("tracker-scale" in found.index) == bool(scale)
+    if scale:
+        row = found.loc["tracker-scale"]
+        assert row["detail"].startswith("of wire")
+        assert abs(row["estimate"] - scale) < 4 * row["sd"]
+    new = rng.uniform(ARM["LOW"], ARM["HIGH"], (50, 6))
+    off = cf.Calibration.load(tmp_path / "run").predict(new).position - ARM["ball"](new)
+    assert np.sqrt((off**2).sum(axis=1).mean()) < 1e-4
