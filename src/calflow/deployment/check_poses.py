@@ -35,11 +35,11 @@ def choose_check_poses(calibrated: CalibratedModel, data: Measurements, number: 
 
     Args:
         calibrated: the calibrated model.
-            data: measurements, of the calibration or others; their poses are known to be reachable and visible.
-            number: number of poses.
+        data: measurements, of the calibration or others; their poses are known to be reachable and visible.
+        number: number of poses.
 
-        Raises:
-            InputError: fewer poses carry the most common payload.
+    Raises:
+        InputError: fewer poses carry the most common payload.
     """
     load, there = _commonest_load(data)
     if not FEWEST_CHECK_POSES <= number <= there:

@@ -56,13 +56,13 @@ def predict(
     Args:
         calibrated: the calibrated model.
         q: joint readings, shape (n_rows, n_joints), or (n_joints,) of one row [rad, or m].
-            payload: name of the payload, "" for none; None only where the model depends on no payload.
-            marker: name of the marker; None: the first.
-            missing: "widen" to predict without needed conditions, with a larger standard deviation.
+        payload: name of the payload, "" for none; None only where the model depends on no payload.
+        marker: name of the marker; None: the first.
+        missing: "widen" to predict without needed conditions, with a larger standard deviation.
         conditions: approach, travel, wrench, torque, time, temperature, as in `Measurements.from_arrays`.
 
     Raises:
-            InputError: a condition that an effect needs is missing, or an array is invalid.
+        InputError: a condition that an effect needs is missing, or an array is invalid.
     """
     return predict_rows(calibrated, rows_at(calibrated, q, payload, marker, conditions), missing)
 
@@ -164,9 +164,7 @@ def as_stated(
 
 def beyond_limits(data: Measurements, so: str = "the prediction there is extrapolated") -> list[str]:
     """Return notes that name the rows with a joint past its limits, and the consequence so."""
-    q = data.joints @ data.robot.reading_matrix.T
-    low, high = data.robot.stops.T
-    past = (q < low - 1e-9) | (q > high + 1e-9)
+    past = data.robot.past_limits(data.joints @ data.robot.reading_matrix.T, 1e-9)
     lines = data.table["line"].to_numpy()
     return [
         f"joint {i + 1} is past its limits in line {', '.join(map(str, lines[past[:, i]][:5]))}"

@@ -199,5 +199,4 @@ def sides_words(poses: pd.DataFrame, effects: Sequence[str]) -> list[str]:
 def _within(robot: Robot, readings: np.ndarray, sides: np.ndarray, ways: np.ndarray) -> np.ndarray:
     """Return the travels (n, n_joints) on these sides, or on the other side where this would exceed joint limits."""
     angles = (readings - sides * ways) @ robot.reading_matrix.T
-    low, high = robot.stops.T
-    return np.asarray(np.where((angles < low) | (angles > high), -sides, sides) * ways)
+    return np.asarray(np.where(robot.past_limits(angles), -sides, sides) * ways)

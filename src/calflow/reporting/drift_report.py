@@ -132,7 +132,7 @@ def _tested(drift: Drift) -> Table:
         if not unit:  # a share, as of a length
             factor, unit = (1e6, "ppm") if tested.sds[0] < SMALL_SHARE else (100.0, "%")
         value, sd = with_sd(factor * tested.shifts[0], factor * tested.sds[0])
-        limit = rounded(factor * tested.limits[0], 2) if np.isfinite(tested.limits[0]) else "–"
+        limit = rounded(factor * tested.limits[0], 2)
         rows.append((first_up(tested.meaning), unit, value, sd, f"{tested.p:.1g}", f"{tested.probability:.3f}", limit))
     return Table(
         ("what may have moved", "unit", "shift", "sd", "p alone", "probability", "detection limit"), rows, "llrrrrr"

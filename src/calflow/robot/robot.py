@@ -260,10 +260,14 @@ class Robot(RobotParts):
         matrix[driven] = np.linalg.inv(self.reading_matrix[driven])
         return matrix
 
-    def within_limits(self, q: np.ndarray, by: float = 0.0) -> np.ndarray:
-        """Return which joint angles (n, n_joints) [rad, or m] are within all limits, with a tolerance, shape (n,)."""
+    def past_limits(self, q: np.ndarray, by: float = 0.0) -> np.ndarray:
+        """Return which joint angles (n, n_joints) [rad, or m] are past the joint's limits by more than a tolerance, or nan."""
         low, high = self.stops.T
-        return np.asarray(((q >= low - by) & (q <= high + by)).all(axis=1))
+        return np.asarray(~((q >= low - by) & (q <= high + by)))
+
+    def within_limits(self, q: np.ndarray, by: float = 0.0) -> np.ndarray:
+        """Return at which joint angles (n, n_joints) [rad, or m] no joint is past its limits, shape (n,)."""
+        return np.asarray(~self.past_limits(q, by).any(axis=1))
 
     def __repr__(self) -> str:
         return _text(self.name, self.joints, self.payloads, self.markers)

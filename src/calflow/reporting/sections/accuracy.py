@@ -17,7 +17,7 @@ from calflow.estimation.model_tables import FitSummary
 from calflow.estimation.residual_field import SUMMARY, FieldAccuracy, FieldSummary
 from calflow.files.deferred import pd
 from calflow.files.units import METRE
-from calflow.files.words import effect_words, first_up, mm, percent, ratio
+from calflow.files.words import effect_words, first_up, mm, number, percent, ratio
 from calflow.reporting.advice import LACKS
 from calflow.reporting.bars import error_budget
 from calflow.reporting.blocks import SPLITS, Block, Bullets, Paragraph, Plot, Table, headed
@@ -196,8 +196,8 @@ def _in_space(outcome: RunOutcome) -> list[Block]:
     rows = [row for row in rows if not row.method or row.where == judged or row.failed]
     figures = [
         (effect_words(row.model) if row.is_of_calibration else row.model, words[row.where],
-         row.failed or str(row.n), *("–" if np.isnan(value) else f"{value:.3f}"
-                                     for value in (row.mean_mm, row.rms_mm, row.max_mm, row.rms_px))) for row in rows
+         row.failed or str(row.n), *(number(value, ".3f") for value in (row.mean_mm, row.rms_mm, row.max_mm, row.rms_px)))
+        for row in rows
     ]  # fmt: skip
     return [
         Paragraph(f"Pixels do not say how far off the tool is. {first_up('; '.join(space_words(latest)))}."),
