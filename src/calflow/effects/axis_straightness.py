@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from calflow.effects.base import Effect, Words, joint_variable
-from calflow.effects.smooth_curve import RMS, Wave, waves
+from calflow.effects.smooth_curve import RMS, Wave, different_positions, travel_ends, waves
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Deflection, Row, State
 from calflow.robot.parts import Parameter
@@ -55,14 +55,11 @@ class AxisStraightness(Effect):
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
         """Return curves of every densely covered rail at each correlation length, without and with rotations."""
-        q = data.joint_angles
-        forms = []
-        for length in LENGTHS:
-            dense = _dense(robot, data, length)
-            low, high = (tuple(map(float, np.where(dense, side, 0.0))) for side in (q.min(axis=0), q.max(axis=0)))
-            if dense.any():
-                forms += [cls(robot, low, high, length, turning) for turning in (False, True)]
-        return tuple(forms)
+        dense = {length: _dense(robot, data, length) for length in LENGTHS}
+        return tuple(
+            cls(robot, *travel_ends(data, rails), length, turning)
+            for length, rails in dense.items() if rails.any() for turning in (False, True)
+        )  # fmt: skip
 
     def finer(self, data: Measurements) -> tuple[Self, ...]:
         """Return larger and smaller curves, and smoother ones: of a large curve, the first size that is tried takes a rough one."""
@@ -141,7 +138,5 @@ class AxisStraightness(Effect):
 
 def _dense(robot: Robot, data: Measurements, length: float) -> np.ndarray:
     """Return which joints are rails measured at enough positions for a correlation length (a share of the travel)."""
-    q = data.joint_angles
-    different = np.array([len(np.unique(np.round(column, 4))) for column in q.T])
     slides = np.array([joint.kind == "prismatic" for joint in robot.joints])
-    return slides & (different >= DENSE / length)
+    return slides & (different_positions(data) >= DENSE / length)

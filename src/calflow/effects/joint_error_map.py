@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from calflow.effects.base import JOINT_ALONE, TRANSMISSION, JointError, Term, Words
-from calflow.effects.smooth_curve import RMS, Travel, waves
+from calflow.effects.smooth_curve import RMS, Travel, different_positions, travel_ends, waves
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Row, State
 from calflow.robot.parts import Parameter
@@ -48,14 +48,8 @@ class JointErrorMap(JointError):
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
         """Return maps at each correlation length, of the joints whose travel is covered densely enough for it."""
-        q = data.joint_angles
-        forms = []
-        for length in LENGTHS:
-            dense = _dense(robot, data, length)
-            low, high = (tuple(map(float, np.where(dense, side, 0.0))) for side in (q.min(axis=0), q.max(axis=0)))
-            if dense.any():
-                forms.append(cls(robot, low, high, length))
-        return tuple(forms)
+        dense = {length: _dense(robot, data, length) for length in LENGTHS}
+        return tuple(cls(robot, *travel_ends(data, joints), length) for length, joints in dense.items() if joints.any())
 
     @classmethod
     def unfit(cls, robot: Robot, data: Measurements) -> str:
@@ -96,9 +90,7 @@ class JointErrorMap(JointError):
 
 def _dense(robot: Robot, data: Measurements, length: float) -> np.ndarray:
     """Return which joints are revolute and covered densely enough for a correlation length [rad]."""
-    q = data.joint_angles
-    travel = np.ptp(q, axis=0)
-    different = np.array([len(np.unique(np.round(column, 4))) for column in q.T])
+    travel = np.ptp(data.joint_angles, axis=0)
     turns = np.array([joint.kind == "revolute" for joint in robot.joints])
     required = np.maximum(FEWEST, travel * min(DENSE / length, DENSEST / FINEST))
-    return turns & (travel > SHORTEST) & (different >= required)
+    return turns & (travel > SHORTEST) & (different_positions(data) >= required)

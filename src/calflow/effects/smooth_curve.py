@@ -8,6 +8,8 @@ from math import gamma, pi, sqrt
 import casadi as ca
 import numpy as np
 
+from calflow.measurements.measurements import Measurements
+
 NEGLIGIBLE = 1e-3  # share of the largest prior standard deviation below which a basis function is dropped
 MARGIN = 1.1  # half-width of the domain, whose ends have zero boundary values, over that of the interval
 RMS = 1 / sqrt(2)  # root mean square of a sine wave of amplitude 1
@@ -21,6 +23,18 @@ class Travel:
     high: float
     length: float
     products: np.ndarray
+
+
+def different_positions(data: Measurements) -> np.ndarray:
+    """Return the number of different positions of each joint in the data, shape (n_joints,)."""
+    return np.array([len(np.unique(np.round(column, 4))) for column in data.joint_angles.T])
+
+
+def travel_ends(data: Measurements, dense: np.ndarray) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return the lower and upper ends of the joints' travels in the data [rad, or m], 0 for joints not covered densely."""
+    q = data.joint_angles
+    low, high = (tuple(map(float, np.where(dense, side, 0.0))) for side in (q.min(axis=0), q.max(axis=0)))
+    return low, high
 
 
 @dataclass(frozen=True)
