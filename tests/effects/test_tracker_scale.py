@@ -39,7 +39,9 @@ def test_a_wire_beside_a_tracker_shows_that_its_scale_is_not_the_stated_one(tmp_
     )
     text += '[[measurements]]\nfile = "tracker.csv"\nsigma_mm = 0.02\n'
     text += '[[measurements]]\nname = "wire"\nkind = "distance"\nfile = "wire.csv"\nsigma_mm = 0.03\n'
-    text += f"[measurements.settings]\nanchor_mm = {(1e3 * ANCHOR).tolist()}\nanchor_known = {str(anchor_known).lower()}\n"
+    text += (
+        f"[measurements.settings]\nanchor_mm = {(1e3 * ANCHOR).tolist()}\nanchor_known = {str(anchor_known).lower()}\n"
+    )
     text += "offset_mm = 0\nscale_um_per_m = 0\n"
     (tmp_path / "study.toml").write_text(text)
     run = cf.run(cf.load_study(tmp_path / "study.toml"), tmp_path / "run")

@@ -35,7 +35,7 @@ from reporting.case import (
 )
 from reporting.page_one import page_one, texts, unfit, unreadable
 from reporting.pdf import filled, pages_of
-from reporting.test_advice import QUIET, SPEAKS, promised, results
+from reporting.test_advice import QUIET, SPEAKS, in_space, promised, results
 from reporting.test_html import Reader
 
 LONG_NAMES = (
@@ -103,6 +103,20 @@ def test_a_calibration_that_will_not_last_says_so(small: Context, later: float, 
     sentences = [text for text in shown if text.startswith("When: the promised error grows from 0.050 to 0.090 mm")]
     assert len(sentences) == said
     assert all(text.endswith(": check some poses before use.") for text in sentences)
+    assert unreadable(shown) == []
+
+
+def test_a_size_that_nobody_measured_is_told(small: Context) -> None:
+    """Fails if page one promises errors by images of a board without a word on what an error of the board's own size adds."""
+    given = with_diagnosis(small)
+    certainty = given.results.document("diagnose/certainty.json", Certainty)
+    document = to_document(replace(certainty, reach_m=(0.4, 0.8), heights_m=(-0.6, 0.5)))
+    results = replace(given.results, documents={**given.results.documents, "diagnose/certainty.json": document})
+    assert not any("Size:" in text for text in page_one(report_material(given.study, results, given.run_folder)))
+    of_images = replace(results, tables={**results.tables, "identify/in_space.csv": in_space(0.2, 0.3, 0.4)})
+    shown = page_one(report_material(given.study, of_images, given.run_folder))
+    far = "if it is 0.1 % larger, the tool is off by up to 1.00 mm more"
+    assert [text for text in shown if "Size:" in text] == [f"Size: the board's counts as exact; {far}."]
     assert unreadable(shown) == []
 
 

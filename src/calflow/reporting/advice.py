@@ -434,13 +434,18 @@ def deviation(row: FittedParameter) -> str:
 
 def board_as_stated(outcome: RunOutcome) -> Iterator[Advice]:
     """No image shows how large a board is: where nothing is said of that, all lengths are as wrong as it is."""
-    of_print = [row for row in outcome.identified_parameters if row.effect == Camera.id and row.symbol == PRINT_SCALE]
-    if outcome.in_space and not of_print:
+    if size_is_assumed(outcome):
         sentence = (
             "The board counts as exactly as large as its points say: if it is 1 % larger, so is the robot, and no image shows "
             "that. Measure it, and state how well."
         )
         yield Advice(3, sentence, keys="print_scale_sd_um_per_m under [measurements.settings]")
+
+
+def size_is_assumed(outcome: RunOutcome) -> bool:
+    """Whether images alone were measured, of a board whose size counts as exact: expected errors lack that of its size."""
+    of_print = [row for row in outcome.identified_parameters if row.effect == Camera.id and row.symbol == PRINT_SCALE]
+    return bool(outcome.in_space) and not of_print
 
 
 def meant(row: FittedParameter) -> str:

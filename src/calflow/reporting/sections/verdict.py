@@ -18,7 +18,7 @@ from calflow.estimation.certainty import PROMISED, Certainty
 from calflow.estimation.identifiability import Statement
 from calflow.files.deferred import pd
 from calflow.files.words import chance, effect_words, first_up, listed, mm, number, percent, plural, plural_word
-from calflow.reporting.advice import BY_PRIOR, SURPRISE, WRONG, advice, of_kind, spoken
+from calflow.reporting.advice import BY_PRIOR, SURPRISE, WRONG, advice, of_kind, size_is_assumed, spoken
 from calflow.reporting.blocks import (
     Block,
     Bullets,
@@ -51,6 +51,7 @@ from calflow.reporting.sections.acceptance import (
 from calflow.reporting.sections.task import answer
 from calflow.reporting.style import ACCENT, DARK, LIGHT, chart, mark_floor
 
+ASSUMED_SIZE = 1e-3  # relative error of a board's size by which its effect is told
 NOISE_UNKNOWN = "its noise is not known, so its share of the error is not known either"
 ALL_KNOWN = "Nothing: the data determine every parameter."
 FINE = "Use it for the tools, loads and places that were measured."
@@ -149,7 +150,16 @@ def how_sure(material: Material) -> list[tuple[str, str]]:
     sentences = [("Errors:", f"measured {of_poses}.{each}"), ("Instrument:", f"{alone}.")]
     no_gain = f" {no_gain_words(material.no_gain, 'that were measured')}"
     where = [("Where:", where_words(certainty) + no_gain.rstrip())] if certainty.reach_m else []
-    return [*where, *sentences, ("Tested:", tested_words(certainty)), *_when(material)]
+    return [*where, *sentences, ("Tested:", tested_words(certainty)), *_size(material), *_when(material)]
+
+
+def _size(material: Material) -> list[tuple[str, str]]:
+    """Return a sentence on what an error of the board's size adds at the farthest measured place, where it counts as exact."""
+    if not size_is_assumed(material):
+        return []
+    far = math.hypot(material.certainty.reach_m[1], max(map(abs, material.certainty.heights_m)))
+    off = f"if it is {number(1e2 * ASSUMED_SIZE, '.1f')} % larger, the tool is off by up to {mm(1e3 * ASSUMED_SIZE * far)} mm more"
+    return [("Size:", f"the board's counts as exact; {off}.")]
 
 
 def _when(material: Material) -> list[tuple[str, str]]:
