@@ -243,11 +243,11 @@ def search_causes(
     wanted = Catalogue.of(train, have, catalogue, leave_out)
     advance(BEGUN)
     acceptance = CauseAcceptance(SHARES["causes"] * false_alarm, causes)
-    extended = extend(
+    searched = extend(
         start, wanted, acceptance, rng("bootstrap"), say, lambda share: advance(BEGUN + share * (SEARCHED - BEGUN))
     )
     basis = BackgroundBasis.of(start)
-    extended = weighed(start, extended, basis, wanted, Stepwise(acceptance, rng("background"), say, nobody))
+    extended = weighed(start, searched, basis, wanted, Stepwise(acceptance, rng("background"), say, nobody))
     advance(SEARCHED)
     standstills = Standstills.of(extended.fitted, basis)
     growth = None if grown else growth_of_residuals(extended.fitted)

@@ -173,6 +173,24 @@ class Extended:
         return replace(self, findings=tuple(sorted(self.findings, key=explained, reverse=True)))
 
 
+@dataclass(frozen=True)
+class Searched:
+    """A search's best trial, and all its trials."""
+
+    best: Trial[Cause]
+    tried: Sequence[Trial[Cause]]
+
+    @property
+    def fitted(self) -> Fitted:
+        """The best model."""
+        return cast(FittedTrial, self.best).fitted  # trials lead to trials of their own kind
+
+    @property
+    def extended(self) -> Extended:
+        """The best model with its findings, verified, which takes some linearisations for each."""
+        return Extended(self.fitted, verified(self.best, self.tried), self.best.first)
+
+
 def extend(
     start: Fitted,
     catalogue: Catalogue,
@@ -180,19 +198,13 @@ def extend(
     rng: np.random.Generator,
     say: Callable[[str], None],
     advance: Advance = nobody,
-) -> Extended:
-    """Return the model extended by stepwise search (see `stepwise`), with independent errors.
+) -> Searched:
+    """Return a stepwise search (see `stepwise`) for the causes that a model lacks, with independent errors.
 
     say receives each step in words, advance the share of the search that is done, which never falls.
     """
     first = Linearisation.at(start, catalogue).screened(rng)
-    return extended(*Stepwise(acceptance, rng, say, advance).best(FittedTrial(first, start, catalogue)))
-
-
-def extended(trial: Trial[Cause], tried: Sequence[Trial[Cause]]) -> Extended:
-    """Return the result of a search, given its best trial and all trials."""
-    best = cast(FittedTrial, trial)  # trials lead to trials of their own kind
-    return Extended(best.fitted, verified(best, tried), best.first)
+    return Searched(*Stepwise(acceptance, rng, say, advance).best(FittedTrial(first, start, catalogue)))
 
 
 def weighed_against(extension: Extended, catalogue: Catalogue) -> Extended:
@@ -240,15 +252,13 @@ def _relative_amplitudes(
     return np.where(fitted.fit.at_bound[columns], np.nan, sizes), variants.get(cause.place, 1)
 
 
-def weighed(
-    start: Fitted, extension: Extended, basis: BackgroundBasis, catalogue: Catalogue, search: Stepwise
-) -> Extended:
-    """Return the extension of start after alternating between the causes found and background until both agree.
+def weighed(start: Fitted, first: Searched, basis: BackgroundBasis, catalogue: Catalogue, search: Stepwise) -> Extended:
+    """Return the extension of start after alternating between the causes found first and background until both agree.
 
     Causes that the background explains better, or that do not carry over, are dropped, and the search continues from the others; it
-    ends where it would start from the same causes again.
+    ends where none is left beside those that it started from before, so that nothing it finds there is left.
     """
-    begin, found = FittedTrial(extension.first, start, catalogue), extension.fitted
+    begin, found = FittedTrial(first.best.first, start, catalogue), first.fitted
     searched, judged = set[frozenset[Cause]](), set[frozenset[Cause]]()
     while True:
         now = beside_background(found, basis)
@@ -262,14 +272,18 @@ def weighed(
             now = beside_background(now, basis)
         left = background(now, basis)
         beside = replace(begin, fitted=replace(now, background=left))
-        if held in searched:
-            ended = extended(beside, [beside])
-            break
         # Where that has given way before, the search goes on beside the background.
-        if (instead := _named_instead(beside, basis, search)) and held | {instead} not in judged:
+        if (
+            held not in searched
+            and (instead := _named_instead(beside, basis, search))
+            and held | {instead} not in judged
+        ):
             search.say(f"{words(instead)} in the place of an unexplained error")
             found = now.with_causes([*now.causes, instead])
             continue
+        if any(held <= begun for begun in searched):
+            ended = Searched(beside, [beside])
+            break
         searched.add(held)
         if left is not None and left.inputs:
             inputs = ", ".join(dict.fromkeys(map(" and ".join, left.inputs)))
@@ -281,9 +295,9 @@ def weighed(
     against, carries = unnamed(ended.fitted, basis, catalogue.variants), carrying(ended.fitted, basis)
     findings = (
         replace(finding, unnamed=against[finding.cause], carries_over=finding.cause in carries)
-        for finding in ended.findings
+        for finding in ended.extended.findings
     )
-    return Extended(ended.fitted, tuple(findings), extension.first)
+    return Extended(ended.fitted, tuple(findings), begin.first)
 
 
 def _named_instead(trial: FittedTrial, basis: BackgroundBasis, search: Stepwise) -> Cause | None:
@@ -315,8 +329,8 @@ def _weakest(fitted: Fitted, basis: BackgroundBasis, variants: Mapping[Place, in
     return min(failing, key=lambda cause: against[cause], default=None)
 
 
-def _searched(begin: FittedTrial, beside: FittedTrial, search: Stepwise) -> Extended:
-    """Return the result of a search continued from a model with its background; begin has no causes."""
+def _searched(begin: FittedTrial, beside: FittedTrial, search: Stepwise) -> Searched:
+    """Return the search continued from a model with its background; begin has no causes."""
     if not beside.causes and begin.fitted.background is not None:
         now = begin.linearisation.screened(search.rng, begin.first.family)
         begin = replace(begin, first=replace(begin.first, scores=now.scores))
@@ -325,7 +339,7 @@ def _searched(begin: FittedTrial, beside: FittedTrial, search: Stepwise) -> Exte
     more = len(best.causes) - len(beside.causes)
     if beside.causes and more > 0 and search.stands(beside) and best.cost > beside.cost - SPLIT * more:
         best = beside  # as in an exchange, more causes must be clearly better
-    return extended(best, tried)
+    return Searched(best, tried)
 
 
 def _second_thought(best: Trial[Cause], tried: list[Trial[Cause]], search: Stepwise) -> Trial[Cause]:
