@@ -67,6 +67,17 @@ def test_one_of_several_payloads_or_markers_is_named():
     assert found.where == "payload is full"
 
 
+@pytest.mark.parametrize("rougher", [0.4, 0.7])
+def test_a_session_of_other_noise_is_named(rougher):
+    """Fails if a day on which the device scattered more is told as a range of places in measuring order, or not if it was long."""
+    days = np.where(np.arange(100) < 100 * (1 - rougher), "mon", "tue")
+    data = fitted(rough(lambda t: days == "tue"))
+    data.data.table["session"] = days
+    found = largest(data, rng())
+    assert (found.input, found.value, found.is_of_measuring) == ("session", "tue", True)
+    assert found.where == "the session is tue"
+
+
 def test_a_region_is_told_in_words():
     """Fails if a place is told without its unit, its figures or its joint."""
     there = MisfitRegion(input="q3", low=20.3, high=44.8, unit="deg", there_mm=0.2134, elsewhere_mm=0.0811)

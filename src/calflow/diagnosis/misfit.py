@@ -24,22 +24,23 @@ from calflow.measurements.measurements import Measurements
 from calflow.observations import leading_units
 
 PARTS = 8  # quantiles of an input's poses, at which regions begin and end
-MAX_REGION_SHARE = 0.5  # largest share of the poses in a region
+MAX_REGION_SHARE = 0.5  # largest share of the poses in a range
 MIN_REGION_POSES = 4  # poses inside a region, and outside
 DRAWS = 499  # permutations of the poses
 BY_CHANCE = 0.05  # p-value, over all inputs, above which no region is reported: the misfit is then about uniform
-LABELS = ("payload", "marker")  # inputs with few values
+OF_MEASURING = ("device", "session")  # labels of rows that are alike to the robot
+LABELS = ("payload", "marker", "session")  # columns with few values
 
 
 @dataclass(frozen=True, kw_only=True)
 class MisfitRegion:
     """The region with the largest residuals: a range of one input, or one of its few values."""
 
-    input: str = column("q1 … (joints), x, y, z, time, order, payload, marker")
+    input: str = column("q1 … (joints), x, y, z, time, order, payload, marker, device, session")
     low: float | None = column("start of the range", "as `unit` says", default=None)
     high: float | None = column("end of the range", "as `unit` says", default=None)
     unit: str = column("of the range", default="")
-    value: str = column("the payload or marker", default="")
+    value: str = column("the payload, marker, device or session", default="")
     there_mm: float | None = column(
         "mean error of the training rows there; null: no lengths were measured", "mm", default=None
     )
@@ -49,10 +50,15 @@ class MisfitRegion:
     elsewhere: float | None = column("as elsewhere_mm, likewise", default=None)
 
     @property
+    def is_of_measuring(self) -> bool:
+        """Whether it is a device or a session."""
+        return self.input in OF_MEASURING
+
+    @property
     def where(self) -> str:
         """The region in words."""
         if self.value:
-            return f"{self.input} is {self.value}"
+            return f"{'the ' * self.is_of_measuring}{self.input} is {self.value}"
         joint = self.input[0] == "q" and self.input[1:].isdigit()
         name = (
             f"joint {self.input[1:]}"
@@ -95,9 +101,14 @@ class _Input:
     values: np.ndarray
     unit: str = ""
 
+    @property
+    def is_label(self) -> bool:
+        """Whether it has labels."""
+        return self.values.dtype == object
+
     def regions(self) -> Iterator[np.ndarray]:
         """Yield the mask of rows in each region."""
-        if self.values.dtype == object:
+        if self.is_label:
             yield from (self.values == value for value in dict.fromkeys(self.values))
             return
         ends = np.unique(np.quantile(self.values, np.linspace(0, 1, PARTS + 1)))
@@ -138,7 +149,8 @@ def _worst(
     _, first, group = np.unique(groups, return_index=True, return_inverse=True)
     inside = np.array([region[first] for region in candidate.regions()], dtype=bool).reshape(-1, len(first))
     size = inside.sum(axis=1)
-    inside = inside[(size >= MIN_REGION_POSES) & (size <= MAX_REGION_SHARE * len(first))]
+    most = len(first) - MIN_REGION_POSES if candidate.is_label else MAX_REGION_SHARE * len(first)
+    inside = inside[(size >= MIN_REGION_POSES) & (size <= most)]
     if not len(inside):
         return np.inf, 0.0, np.zeros(len(squared), dtype=bool)
     total, count = np.bincount(group, squared), np.bincount(group, number)
@@ -161,7 +173,7 @@ def _likelihood_ratio(inside: np.ndarray, total: np.ndarray, count: np.ndarray) 
 
 
 def _inputs(fitted: Fitted) -> list[_Input]:
-    """Return the inputs along which regions are searched for: joints, place, time or order, payloads and markers."""
+    """Return the inputs along which regions are searched for: joints, place, time or order, and labels."""
     data: Measurements = fitted.data
     angles = data.joints @ data.robot.reading_matrix.T
     inputs = []
@@ -175,6 +187,8 @@ def _inputs(fitted: Fitted) -> list[_Input]:
             inputs.append(_Input(name, data.table[name].to_numpy(float), unit))
             break
     labels = [_Input(name, data.table[name].astype(str).to_numpy(object)) for name in LABELS if name in data.table]
+    device = np.array([series.device for series in data.series], dtype=object)[data.series_number]
+    labels.append(_Input("device", device))
     return inputs + [label for label in labels if len(set(label.values)) > 1]
 
 
@@ -184,7 +198,7 @@ def _region(candidate: _Input, inside: np.ndarray, fitted: Fitted) -> MisfitRegi
     there, elsewhere = float(np.nanmean(size[inside])), float(np.nanmean(size[~inside]))
     suffix = "_mm" if unit == METRE else ""
     figures: dict[str, Any] = {f"there{suffix}": there, f"elsewhere{suffix}": elsewhere, "error_unit": unit.label}
-    if candidate.values.dtype == object:
+    if candidate.is_label:
         return MisfitRegion(input=candidate.name, value=str(candidate.values[inside][0]), **figures)
     low, high = float(candidate.values[inside].min()), float(candidate.values[inside].max())
     return MisfitRegion(input=candidate.name, low=low, high=high, unit=candidate.unit, **figures)

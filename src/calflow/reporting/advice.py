@@ -22,6 +22,7 @@ from calflow.design.discrimination import ENOUGH, MOST_NEXT_POSES, NextPose
 from calflow.design.isolability import isolability_gaps
 from calflow.diagnosis.cause_tables import CandidateRow
 from calflow.diagnosis.findings import RESTS
+from calflow.diagnosis.misfit import MisfitRegion
 from calflow.diagnosis.verdict import CERTAIN
 from calflow.effects.base import ASKED, NEEDS, Need, ShownBy
 from calflow.effects.geometry import LINK_BOUND, Geometry
@@ -229,6 +230,10 @@ def reaches_beyond(outcome: RunOutcome) -> Iterator[Advice]:
 
 def look_for_structure(outcome: RunOutcome) -> Iterator[Advice]:
     """Unexplained structure is to be investigated at the robot."""
+    worst = outcome.diagnosis_summary.worst if outcome.lack_of_fit_words else None
+    if worst and worst.is_of_measuring:
+        yield _look_at_the_device(outcome, worst)
+        return
     if not outcome.unexplained:
         if outcome.lack_of_fit_words:
             yield _look_there(outcome)
@@ -252,6 +257,15 @@ def look_for_structure(outcome: RunOutcome) -> Iterator[Advice]:
         "hoses and cables, loose bolts, collisions, the instrument's support."
     )
     yield Advice(2, sentence)
+
+
+def _look_at_the_device(outcome: RunOutcome, worst: MisfitRegion) -> Advice:
+    """Return the advice on a lack of fit of one of several devices or sessions, to which the robot is the same."""
+    sentence = (
+        f"More is left than noise, and it is {worst.words}. The robot is the same for all: the noise there is larger than stated, "
+        "or the device or its set-up errs. State the noise of each, or measure some poses there several times."
+    )
+    return Advice(2, sentence, keys=f"a column sigma_{outcome.accuracy[0].unit}", poses=REPEATS)
 
 
 def _look_there(outcome: RunOutcome) -> Advice:
