@@ -23,6 +23,7 @@ import casadi as ca
 import numpy as np
 
 from calflow.effects import Effect, catalogue, effect_class
+from calflow.effects.cause import Cause
 from calflow.files.problems import nearest, refuse
 from calflow.measurements.measurements import Measurements
 from calflow.observations import Observation, Seen
@@ -355,6 +356,11 @@ class Model:
         values = np.array([parameter.held or 0.0 for parameter in self.declared])
         values[self.free] = p
         return values
+
+    @property
+    def causes(self) -> tuple[Cause, ...]:
+        """The causes among the effects, in their order."""
+        return tuple(effect for effect in self.effects if isinstance(effect, Cause))
 
     @cached_property
     def free(self) -> np.ndarray:

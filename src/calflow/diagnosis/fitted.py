@@ -180,7 +180,7 @@ class Fitted:
     @property
     def causes(self) -> tuple[Cause, ...]:
         """The causes found so far."""
-        return tuple(effect for effect in self.model.effects if isinstance(effect, Cause))
+        return self.model.causes
 
     @property
     def plain(self) -> tuple[Effect, ...]:

@@ -169,7 +169,7 @@ class CalibratedModel:
     def with_maps_held(self) -> tuple[CalibratedModel, tuple[Cause, ...]]:
         """Return the model conditional on its causes with very many parameters, held at their estimates, and these causes."""
         model, whole = self.model, self.covariance
-        held = [effect for effect in model.effects if isinstance(effect, Cause) and len(model.columns(effect)) > MANY]
+        held = [cause for cause in model.causes if len(model.columns(cause)) > MANY]
         if not held:
             return self, ()
         values = {effect: tuple(map(float, self.estimate[model.columns(effect)])) for effect in held}

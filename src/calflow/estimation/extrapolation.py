@@ -230,7 +230,7 @@ def beyond_measured(errors: ErrorModel, sizes: SmoothVariances, variance: np.nda
 def _beyond_causes(result: Fit, data: Measurements) -> Iterator[SmoothFunction]:
     """Yield the continuations of causes: of curves past their travel, and of warm-ups past the end."""
     model = result.model
-    for cause in (effect for effect in model.effects if isinstance(effect, Cause)):
+    for cause in model.causes:
         own, warming = model.columns(cause), cause.effect
         if curve := Curve.of(cause, result.estimate[own], result.covariance[np.ix_(own, own)]):
             at = curve.travel

@@ -267,11 +267,10 @@ def model_tables(stage: str, calibrated: CalibratedModel) -> dict[str, pd.DataFr
 
 def alternatives_table(alternatives: Sequence[Alternative], model: Model) -> pd.DataFrame:
     """Return the table of `AlternativeParameter`s of the alternatives to a model."""
-    causes = [effect for effect in model.effects if isinstance(effect, Cause)]
     rows = [
         AlternativeParameter(
             alternative=number, probability=other.probability,
-            instead_of=causes.index(other.gone) + 1 if other.gone else 0,
+            instead_of=model.causes.index(other.gone) + 1 if other.gone else 0,
             effect=other.rival.effect.id if other.rival else "", part=other.rival.part if other.rival else "",
             variant=other.rival.effect.figures_text if other.rival else "",
             parameter=parameter.name, estimate=float(estimate),
@@ -428,8 +427,7 @@ def _alternatives(rows: Sequence[AlternativeParameter], model: Model) -> tuple[A
     for _, group in groupby(rows, key=lambda row: row.alternative):
         rows_of = list(group)
         first = rows_of[0]
-        causes = [effect for effect in model.effects if isinstance(effect, Cause)]
-        gone = causes[first.instead_of - 1] if first.instead_of else None
+        gone = model.causes[first.instead_of - 1] if first.instead_of else None
         come = [effect for effect in read_effects([first], model.robot) if isinstance(effect, Cause)]
         effects = (*(effect for effect in model.effects if effect != gone), *come)
         other = replace(model, effects=effects)
