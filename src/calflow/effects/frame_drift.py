@@ -10,7 +10,7 @@ import casadi as ca
 
 from calflow.effects.base import IN_TIME, OF_THE_FRAME, Effect, Variable, Words, displaced
 from calflow.effects.smooth_curve import MARGIN, RMS, waves
-from calflow.measurements.measurements import Measurements, sessions_of
+from calflow.measurements.measurements import Measurements, pauses, sessions_of
 from calflow.robot.mechanism import Row, session_number
 from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
@@ -29,7 +29,8 @@ class FrameDrift(Effect):
 
     Where the time is unknown, t is the share of all rows measured so far, and rows is their number (0: time is known). With
     starts [s, or share], t restarts in each of the sessions. With a length, a correlation length as a share of the time, the
-    shift is a smooth curve of t from 0 to end instead, in the sessions measured meanwhile. It is about its mean, which no data
+    shift is a smooth curve of t from 0 to end instead, in the sessions measured meanwhile, and t stands still in pauses, each from
+    a time to another one [s]: else what happens within a day is beyond a curve over several. It is about its mean, which no data
     tell from the station: later, or in any other session, the device is taken to stand where it stood on average.
     """
 
@@ -39,6 +40,7 @@ class FrameDrift(Effect):
     starts: tuple[float, ...] = ()
     length: float = 0.0
     end: float = 0.0
+    pauses: tuple[tuple[float, float], ...] = ()
 
     id = "frame-drift"
     title = "drift of the measuring device"
@@ -58,7 +60,10 @@ class FrameDrift(Effect):
             starts = passed.groupby(data.table["session"].astype(str)).min()
             first = tuple(float(starts[session]) for session in sessions)
             steady += [cls(robot, turning, rows, sessions, first) for turning in (False, True)]
-        curves = (cls(robot, rows=rows, sessions=sessions, length=length, end=end) for length in LENGTHS if end > 0)
+        curves = (
+            cls(robot, rows=rows, sessions=sessions, length=length, end=end - sum(b - a for a, b in rests), pauses=rests)
+            for rests in dict.fromkeys([(), pauses(data)]) for length in LENGTHS if end > 0
+        )  # fmt: skip
         return (*steady, *curves)
 
     @classmethod
@@ -71,7 +76,7 @@ class FrameDrift(Effect):
         """Whether it is steady or a curve, whether it rotates, and what it is a function of."""
         how = "shifting and turning" if self.turning else "shifting"
         if self.length:
-            how = f"wandering, alike over {self.length:.0%} of the time"
+            how = f"wandering, alike over {self.length:.0%} of the time{' without pauses' if self.pauses else ''}"
         anew = ", anew in each session" if self.starts else ""
         return f"{how}{anew}{', by the order of the rows' if self.rows else ''}"
 
@@ -83,6 +88,7 @@ class FrameDrift(Effect):
             f"rows {self.rows:.8g}" if self.rows else "",
             "by session" if self.starts else "",
             f"length {self.length:g}" if self.length else "",
+            "without pauses" if self.pauses else "",
         )
         return " ".join(filter(None, words))
 
@@ -129,6 +135,8 @@ class FrameDrift(Effect):
     def _passed(self, row: Row) -> ca.SX:
         """Return the time, or share of rows, since the (session's) start; zero in a session whose start is unknown."""
         passed = row.order / self.rows if self.rows else row.time
+        for begin, end in self.pauses if passed.nnz() else ():
+            passed -= ca.fmin(ca.fmax(row.time - begin, 0), end - begin)
         if not self.starts or not passed.nnz():
             return passed
         starts = zip(self.sessions, self.starts, strict=True)
