@@ -723,7 +723,7 @@ def _forms() -> tuple[Form, ...]:
     both("link-mass", "load", (dress_pack, two_cast_links), lambda arm: (3, 4), weights, arms=GRAVITY_ARMS, small=0.01)
     # A mount beyond the flange turns and shifts under the load; so does what turns the flange under the same moment.
     both("tool-deflection", "yielding", (rubber_mount, slanting_bracket), lambda arm: (arm.n,),
-         {"tool-deflection": (), "tool-sag": (), "bearing-compliance": (0,), "link-bending": (0,)})  # fmt: skip
+         {"tool-deflection": (), "tool-sag": (), "bearing-compliance": (0,), "link-bending": (0,)}, arms=GRAVITY_ARMS)  # fmt: skip
     both("tool-sag", "yielding", (sagging_magnet, sagging_arm), nowhere, {"tool-deflection": ()}, arms=GRAVITY_ARMS)
     both(
         "axis-straightness",
