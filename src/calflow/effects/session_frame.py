@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Self
 
 import casadi as ca
+import numpy as np
 
 from calflow.effects.base import OF_THE_FRAME, Effect, Words, displaced
 from calflow.measurements.measurements import Measurements, borders, sessions_of
@@ -23,12 +24,14 @@ class SessionFrame(Effect):
     """Reported position + (x, y, z), and with turning + r x position (about the measuring frame's origin), session by session.
 
     sessions are in measuring order, and the first defines the measuring frame. From session since on (counted from 0) all
-    share one displaced frame; with since = 0 each session has a frame of its own.
+    share one displaced frame; with since = 0 each session has a frame of its own. Where there are several devices it is of one
+    of them, or of all: then the robot was set up anew.
     """
 
     sessions: tuple[str, ...] = ()
     turning: bool = True
     since: int = 0
+    of: str = ""
 
     id = "session-frame"
     title = "frame of a session"
@@ -46,29 +49,32 @@ class SessionFrame(Effect):
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
-        """Return a frame per session, and one frame from a session on, without and with rotation."""
+        """Return a frame per session, and one frame from a session on, without and with rotation, of whatever may have moved."""
         sessions = sessions_of(data)
         later = range(1, len(sessions)) if len(sessions) > 2 and len(borders(data)) else ()
-        return tuple(cls(robot, sessions, turning, since) for since in (0, *later) for turning in (False, True))
+        return tuple(
+            cls(robot, sessions, turning, since, of) for since in (0, *later) for turning in (False, True) for of in _movable(data)
+        )  # fmt: skip
 
     @classmethod
     def unfit(cls, robot: Robot, data: Measurements) -> str:
         """Return why no test is possible: there is one session, or the stations have a frame per session already."""
-        if any(series.station.by_session for series in data.series):
+        if all(series.station.by_session for series in data.series):
             return "nothing: the station's frames are found session by session already (by_session = true)"
-        return "two sessions or more with rows to fit" if len(sessions_of(data)) == 1 else ""
+        several = len(sessions_of(data)) != 1 and next(_movable(data), None) is not None
+        return "" if several else "two sessions or more with rows to fit"
 
     @property
     def detail(self) -> str:
         """The sessions concerned, and whether the frames rotate."""
         which = f"from session {self.sessions[self.since]} on" if self.since else "each session"
-        return f"{which}, {'shifted and turned' if self.turning else 'shifted'}"
+        return f"{which}, {'shifted and turned' if self.turning else 'shifted'}{self.of and f', of {self.of}'}"
 
     @property
     def variant(self) -> str:
         """Short name of the form, without the sessions, which come from the data."""
         return " ".join(
-            filter(None, ("turning" if self.turning else "", f"since {self.since + 1}" if self.since else ""))
+            filter(None, ("turning" if self.turning else "", f"since {self.since + 1}" if self.since else "", self.of))
         )
 
     def parameters(self) -> tuple[Parameter, ...]:
@@ -96,6 +102,10 @@ class SessionFrame(Effect):
     def _frames(self, p: ca.SX) -> Iterator[ca.SX]:
         return iter(ca.vertsplit(p, 6 if self.turning else 3)) if p.numel() else iter(())
 
+    def concerns(self, device: str) -> bool:
+        """Whether it is of this device."""
+        return self.of in ("", device)
+
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
         """Return the point, displaced by its session's frame."""
         if not row.session.nnz():
@@ -113,4 +123,22 @@ class SessionFrame(Effect):
     def completing(self, data: Measurements) -> tuple[Effect, ...]:
         """Return the frames of those sessions of the data without a fitted row."""
         new = tuple(name for name in sessions_of(data) if name not in self.sessions)
-        return (type(self)(self.robot, ("", *new)),) if new and self.sessions else ()
+        return (type(self)(self.robot, ("", *new), of=self.of),) if new and self.sessions else ()
+
+
+def _movable(data: Measurements) -> Iterator[str]:
+    """Yield what may stand elsewhere in another session: the only device, or each that was used in several, and all ("") of these.
+
+    A device whose frames are found session by session anyway does not tell.
+    """
+    devices: dict[str, np.ndarray] = {}
+    for k, series in enumerate(data.series):
+        if not series.station.by_session:
+            devices[series.device] = devices.get(series.device, False) | data.of_series(k)
+    if len({series.device for series in data.series}) == 1:
+        yield from ([""] if devices else [])
+        return
+    used = [name for name, rows in devices.items() if len(sessions_of(data.only(rows))) > 1]
+    yield from used
+    if len(used) > 1:
+        yield ""

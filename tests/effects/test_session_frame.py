@@ -1,0 +1,50 @@
+"""What stands elsewhere on the second day, of several devices and the robot."""
+
+from __future__ import annotations
+
+import runpy
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import calflow as cf
+
+FIRST_STEPS = Path(__file__).parents[2] / "studies" / "first-steps"
+ARM = runpy.run_path(str(FIRST_STEPS / "measured.py"))  # an arm by NumPy and SciPy alone
+HEAD = (
+    (FIRST_STEPS / "tracker.toml")
+    .read_text()
+    .split("[measurements]")[0]
+    .replace("arm.toml", str(FIRST_STEPS / "arm.toml"))
+)
+ANCHOR, SHIFT = np.array([1.6, 0.4, -0.2]), np.array([6e-4, -5e-4, 3e-4])  # m
+
+
+@pytest.mark.parametrize("moved", ["of station", "of wire", "turned"])
+def test_of_a_tracker_and_a_wire_the_one_that_stands_elsewhere_is_told(tmp_path, moved):
+    """Fails if a tracker set up anew takes the wire's anchor with it, or a robot that moved is not one shift for both."""
+    rng, n = np.random.default_rng(31), 140
+    q = rng.uniform(ARM["LOW"], ARM["HIGH"], (n, 6))
+    tuesday = np.arange(n) >= n // 2
+    shift = tuesday[:, None] * SHIFT
+    ball = ARM["ball"](q) + shift * (moved == "turned")
+    seen = ball + shift * (moved == "of station") + rng.normal(0, 2e-5, (n, 3))
+    length = np.linalg.norm(ball - ANCHOR - shift * (moved == "of wire"), axis=1) + rng.normal(0, 3e-5, n)
+    table = pd.DataFrame(np.degrees(q), columns=[f"q{i}_deg" for i in range(1, 7)])
+    table = table.assign(time_s=60.0 * np.arange(n) + 86400 * tuesday, session=np.where(tuesday, "tue", "mon"))
+    points = dict(zip(("x_mm", "y_mm", "z_mm"), 1e3 * seen.T, strict=True))
+    table.assign(**points)[::2].to_csv(tmp_path / "tracker.csv", index=False)
+    table.assign(length_mm=1e3 * length)[1::2].to_csv(tmp_path / "wire.csv", index=False)
+    text = HEAD + '[[measurements]]\nfile = "tracker.csv"\nsigma_mm = 0.02\n'
+    text += '[[measurements]]\nname = "wire"\nkind = "distance"\nfile = "wire.csv"\nsigma_mm = 0.03\n'
+    text += f"[measurements.settings]\nanchor_mm = {(1e3 * ANCHOR).tolist()}\nanchor_known = false\noffset_mm = 0\n"
+    (tmp_path / "study.toml").write_text(text)
+    run = cf.run(cf.load_study(tmp_path / "study.toml"), tmp_path / "run")
+    found = run.tables["diagnose/findings.csv"].query("cause == 'session-frame'")
+    assert len(found) == 1
+    assert found["detail"].iloc[0].endswith(moved if moved != "turned" else ("shifted", "turned"))
+    new = rng.uniform(ARM["LOW"], ARM["HIGH"], (50, 6))
+    off = cf.Calibration.load(tmp_path / "run").predict(new).position - ARM["ball"](new)
+    assert np.linalg.norm(off.mean(axis=0)) < 1e-4  # in the first day's frame
