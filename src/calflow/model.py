@@ -686,7 +686,7 @@ def fill(function: ca.Function, inputs: Sequence[np.ndarray], outputs: Sequence[
     evaluate()
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=512)
 def _mapped(function: ca.Function, n_rows: int) -> ca.Function:
     """Return the function mapped over a number of rows, cached since building it takes longer than evaluating it."""
     return function.map(n_rows)

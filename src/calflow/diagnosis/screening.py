@@ -270,20 +270,22 @@ class Screening(Generic[H]):
 
         If size (n,) is given residuals are multiplied by it, so that draws can be signs, which take little memory.
         """
-        r, n_draws = self.regressors, residual.shape[1]
-        size = np.ones(len(residual)) if size is None else size
-        slope, chi2 = np.zeros((r.jacobian.shape[1], n_draws)), np.zeros(n_draws)
-        score = np.zeros((r.matrix.shape[1], n_draws))
+        r, size = self.regressors, np.ones(len(residual)) if size is None else size
+        steps = [slice(start, start + DRAWN_AT_ONCE) for start in range(0, residual.shape[1], DRAWN_AT_ONCE)]
+        score, chi2 = np.zeros((r.matrix.shape[1], residual.shape[1])), (pull**2 / r.precision[:, None]).sum(axis=0)
+        gradient = np.empty(pull.shape)
+        for draws in steps:
+            drawn = size[:, None] * residual[:, draws]
+            gradient[:, draws] = r.jacobian.T @ drawn + pull[:, draws]
+            chi2[draws] += (drawn**2).sum(axis=0)
+        gradient = scipy.linalg.solve_triangular(self._factor, gradient, lower=True)
+        change = -scipy.linalg.solve_triangular(self._factor.T, gradient, lower=False)
         for rows, x in r.matrix.blocks():
-            for start in range(0, n_draws, DRAWN_AT_ONCE):
-                draws = slice(start, start + DRAWN_AT_ONCE)
-                drawn = size[rows, None] * residual[rows, draws]
-                score[:, draws] += x.T @ drawn
-                slope[:, draws] += r.jacobian[rows].T @ drawn
-                chi2[draws] += (drawn**2).sum(axis=0)
-        gradient = scipy.linalg.solve_triangular(self._factor, slope + pull, lower=True)
-        score -= self._projected.T @ gradient
-        return score, chi2 + (pull**2 / r.precision[:, None]).sum(axis=0) - (gradient**2).sum(axis=0)
+            for draws in steps:
+                score[:, draws] += x.T @ (
+                    size[rows, None] * residual[rows, draws] + r.jacobian[rows] @ change[:, draws]
+                )
+        return score, chi2 - (gradient**2).sum(axis=0)
 
     def imitation(self, columns: np.ndarray) -> np.ndarray:
         """Return the change of the model's free parameters by a unit of some columns, (n, n_columns)."""

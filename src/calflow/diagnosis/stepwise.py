@@ -296,11 +296,13 @@ class Stepwise:
         models fitted are appended to tried.
         """
         begin, now = len(tried) - 1, tried[-1]
-        while step := next(_untried(self._steps(now), tried), None):
+        steps = _untried(self._steps(now), tried)
+        while step := next(steps, None):
             self.say(step.words)
             tried.append(_moved(now, step))
             if tried[-1].cost < now.cost + BETTER or len(step.causes) < len(now.causes):
                 now = tried[-1]
+                steps = _untried(self._steps(now), tried)
                 forget_all_but(now, tried)
             else:
                 self.say("that is no better")

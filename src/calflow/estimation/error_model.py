@@ -115,8 +115,9 @@ class ErrorModel:
             slopes: by parameters and by amplitudes over sd, (n_rows, n_axes, n_parameters + n_functions).
             covariance: of the parameters, with their offset.
         """
-        alone = slopes[:, :, slopes.shape[2] - len(self.sd) :] @ self.spread
-        return np.concatenate([slopes @ self.root(self.about_mean(covariance)), alone], axis=2)
+        # One product of matrices: a stack of small ones takes several times as long.
+        alone = np.tensordot(slopes[:, :, slopes.shape[2] - len(self.sd) :], self.spread, 1)
+        return np.concatenate([np.tensordot(slopes, self.root(self.about_mean(covariance)), 1), alone], axis=2)
 
     def slopes(self, model: Model, estimate: np.ndarray, conditions: np.ndarray) -> np.ndarray:
         """Return the derivatives of rows' positions by parameters and by amplitudes over sd, (n_rows, 3, n) [m]."""

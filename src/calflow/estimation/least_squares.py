@@ -155,7 +155,9 @@ class SeriesBlock:
             return values
         n = self.size.reshape(-1, *[1] * (values.ndim - 1))
         gone = (1 - np.sqrt((1 - r) / (1 + (n - 1) * r))) / n * np.add.reduceat(values, self.begins)
-        return np.asarray((values - np.repeat(gone, self.size, axis=0)) / np.sqrt(1 - r))
+        left = np.repeat(gone, self.size, axis=0)
+        np.subtract(values, left, out=left)  # in place: derivatives by thousands of effects are large
+        return np.asarray(np.divide(left, np.sqrt(1 - r), out=left))
 
     def covariance(self, places: np.ndarray) -> np.ndarray:
         """Return the covariance of the whitened errors of rows given by indices (n_groups, n), shape (n_groups, n, n)."""
