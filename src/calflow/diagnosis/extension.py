@@ -255,8 +255,8 @@ def _relative_amplitudes(
 def weighed(start: Fitted, first: Searched, basis: BackgroundBasis, catalogue: Catalogue, search: Stepwise) -> Extended:
     """Return the extension of start after alternating between the causes found first and background until both agree.
 
-    Causes that the background explains better, or that do not carry over, are dropped, and the search continues from the others; it
-    ends where none is left beside those that it started from before, so that nothing it finds there is left.
+    Causes that the background explains better, or that do not carry over, are dropped, and the search continues from the others
+    until nothing that it finds is left beside those that it began from.
     """
     begin, found = FittedTrial(first.best.first, start, catalogue), first.fitted
     searched, judged = set[frozenset[Cause]](), set[frozenset[Cause]]()
@@ -337,7 +337,7 @@ def _searched(begin: FittedTrial, beside: FittedTrial, search: Stepwise) -> Sear
     tried: list[Trial[Cause]] = [begin, beside] if beside.causes else [begin]
     best = _second_thought(search.settled(tried), tried, search)
     more = len(best.causes) - len(beside.causes)
-    if beside.causes and more > 0 and search.stands(beside) and best.cost > beside.cost - SPLIT * more:
+    if beside.causes and more > 0 and best.cost > beside.cost - SPLIT * more and search.stands(beside):
         best = beside  # as in an exchange, more causes must be clearly better
     return Searched(best, tried)
 

@@ -289,10 +289,8 @@ class Screening(Generic[H]):
 
     def imitation(self, columns: np.ndarray) -> np.ndarray:
         """Return the change of the model's free parameters by a unit of some columns, (n, n_columns)."""
-        return np.delete(self._imitated(columns), self.regressors.random, axis=0)
-
-    def _imitated(self, columns: np.ndarray) -> np.ndarray:
-        return np.asarray(-scipy.linalg.solve_triangular(self._factor.T, self._projected[:, columns], lower=False))
+        change = -scipy.linalg.solve_triangular(self._factor.T, self._projected[:, columns], lower=False)
+        return np.delete(change, self.regressors.random, axis=0)
 
     def amplitudes(self, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the posterior probabilities of SIZES (n_sizes,) of some columns, if they act, and for each their amplitudes.
@@ -328,7 +326,10 @@ class Screening(Generic[H]):
         if r.background is None:
             return np.full(r.matrix.shape[1], float(n))
         visible = r.products.squared - np.einsum("pc,pc->c", self._projected, self._projected)
-        return r.background.amplitude_freedom(self._imitated(np.arange(r.matrix.shape[1]))[r.random], visible, float(n))
+        first = r.random.min(initial=len(r.precision))  # those before have no part in what is solved for last
+        root, imitated = self._factor[first:, first:].T, self._projected[first:]
+        taken = -scipy.linalg.solve_triangular(root, imitated, lower=False)[r.random - first]
+        return r.background.amplitude_freedom(taken, visible, float(n))
 
     @cached_property
     def _blocks(self) -> list[_Block]:

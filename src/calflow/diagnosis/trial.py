@@ -93,7 +93,7 @@ class Linearisation(Generic[H]):
         screening = self.beside
         return Screened(tuple(screening.scores), family or screening.family(rng), screening.degrees_of_freedom)
 
-    @property
+    @cached_property
     def beside(self) -> Screening[H]:
         """Tests of all candidates that the model lacks, beside its causes."""
         return self.tested_with(self.causes)
