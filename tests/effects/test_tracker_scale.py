@@ -23,13 +23,13 @@ ANCHOR = np.array([1.6, 0.4, -0.2])
 
 
 @pytest.mark.parametrize("anchor_known", [True, False])
-@pytest.mark.parametrize("scale", [1e-3, 0.0])
-def test_a_wire_beside_a_tracker_shows_that_its_scale_is_not_the_stated_one(tmp_path, scale, anchor_known):
-    """Fails if a wire's wrong scale is taken for a cause of the robot, bends its lengths, or is told where there is none."""
+@pytest.mark.parametrize(("scale", "zero"), [(1e-3, 0.0), (0.0, 1.2e-3), (0.0, 0.0)])
+def test_a_wire_beside_a_tracker_shows_that_its_figures_are_not_the_stated_ones(tmp_path, scale, zero, anchor_known):
+    """Fails if a wire's wrong scale or zero is taken for a cause of the robot, bends it, or is told where there is none."""
     rng, text = np.random.default_rng(12), HEAD
     q = rng.uniform(ARM["LOW"], ARM["HIGH"], (120, 6))
     ball = ARM["ball"](q)
-    length = (1 + scale) * np.linalg.norm(ball - ANCHOR, axis=1) + rng.normal(0, 3e-5, 120)
+    length = zero + (1 + scale) * np.linalg.norm(ball - ANCHOR, axis=1) + rng.normal(0, 3e-5, 120)
     seen = 1e3 * (ball + rng.normal(0, 2e-5, ball.shape))
     readings = pd.DataFrame(np.degrees(q), columns=[f"q{i}_deg" for i in range(1, 7)])
     readings[["x_mm", "y_mm", "z_mm"]] = seen
@@ -47,11 +47,11 @@ def test_a_wire_beside_a_tracker_shows_that_its_scale_is_not_the_stated_one(tmp_
     run = cf.run(cf.load_study(tmp_path / "study.toml"), tmp_path / "run")
     found = run.tables["diagnose/findings.csv"].set_index("cause")
     assert "tool-slip" not in found.index
-    assert ("tracker-scale" in found.index) == bool(scale)
-    if scale:
+    assert ("tracker-scale" in found.index) == bool(scale or zero)
+    if scale or zero:
         row = found.loc["tracker-scale"]
-        assert row["detail"].startswith("of wire")
-        assert abs(row["estimate"] - scale) < 4 * row["sd"]
+        assert row["detail"].startswith("of wire" if scale else "zero of wire")
+        assert abs(row["estimate"] - (scale or zero)) < 4 * row["sd"]
     new = rng.uniform(ARM["LOW"], ARM["HIGH"], (50, 6))
     off = cf.Calibration.load(tmp_path / "run").predict(new).position - ARM["ball"](new)
     assert np.sqrt((off**2).sum(axis=1).mean()) < 1e-4

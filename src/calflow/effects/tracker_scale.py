@@ -13,25 +13,29 @@ from calflow.robot.mechanism import Row
 from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
 
-SD = {"distance": 1e-3}  # of a wire's drum, whose scale the study states; of any other device SD_OF_OTHERS
-SD_OF_OTHERS = 3e-5
-SCALED = ("", "position", "pose", *SD)  # kinds of series whose device has a scale of its own
+SD, WIRE_SD = 3e-5, 1e-3  # of a device's scale, and of that which a study states of a wire's drum
+ZERO_SD = 1e-3  # m, of a wire's zero that a study states
+OF_POSITIONS = ("", "position", "pose")  # kinds of series
 
 
 @dataclass(frozen=True)
 class TrackerScale(Effect):
     """Reported position times 1 + s; indistinguishable from a scale of all links and the tool without known distances.
 
-    Of several devices it is one's (of), whose lengths the others contradict, about the place from which it measures.
+    Of several devices it is one's (of), whose lengths the others contradict, about the place from which it measures. Of a wire it
+    is also an error of its zero: a reported length + z.
     """
 
     of: str = ""
     about: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    sd: float = SD_OF_OTHERS
+    sd: float = SD
+    zero: bool = False
 
     id = "tracker-scale"
     title = "scale of the measuring device"
-    words = Words("scale error of the measuring device", "the device's metre is too long or too short", "error")
+    words = Words(
+        "scale or zero of the measuring device", "the device's metre, or its zero, is not the stated one", "error"
+    )
     readable = {"1": (1e6, "µm/m")}
     whole = "device"
     needs = ("distances",)
@@ -44,37 +48,46 @@ class TrackerScale(Effect):
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
-        """Return the scale of the only device, or of each that has one which the study takes for known."""
+        """Return the scale of the only device, or scale and zero of each so far as the study takes them for known."""
         if len({series.device for series in data.series}) == 1:
             return (cls(robot),)
-        known = {
-            series.device: cls(
-                robot, series.device, series.triple("anchor") or cls.about, SD.get(series.kind, SD_OF_OTHERS)
-            )
-            for series in data.series
-            if series.kind in SCALED and (series.kind != "distance" or series.setting("scale") is not None)
-        }
-        return tuple(known.values())
+        forms = {}
+        for series in data.series:
+            about, wire = series.triple("anchor") or cls.about, series.kind == "distance"
+            if series.kind in OF_POSITIONS:
+                forms[series.device] = cls(robot, series.device)
+            if wire and series.setting("scale") is not None:
+                forms[series.device] = cls(robot, series.device, about, WIRE_SD)
+            if wire and series.setting("offset") is not None:
+                forms[f"zero {series.device}"] = cls(robot, series.device, about, ZERO_SD, zero=True)
+        return tuple(forms.values())
 
     @property
     def variant(self) -> str:
-        """The device of several."""
-        return self.of
+        """The device of several, and whether it is its zero."""
+        return f"{'zero ' * self.zero}{self.of}"
 
     @property
     def detail(self) -> str:
-        """The device of several."""
-        return self.of and f"of {self.of}"
+        """The device of several, and whether it is its zero."""
+        return self.of and f"{'zero ' * self.zero}of {self.of}"
 
     def concerns(self, device: str) -> bool:
         """Whether it is of this device."""
         return self.of in ("", device)
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return the scale error."""
+        """Return the scale error, or that of the zero."""
+        if self.zero:
+            return (
+                Parameter(
+                    self.id, "device", "z", "m", self.sd, -10 * self.sd, 10 * self.sd, meaning="error of the zero"
+                ),
+            )
         bound = max(1e-3, 10 * self.sd)
         return (Parameter(self.id, "device", "s", "1", self.sd, -bound, bound, meaning="scale error"),)
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
-        """Return the point, scaled."""
-        return point + p * (point - ca.DM(self.about))
+        """Return the point, scaled, or further along the wire."""
+        along = point - ca.DM(self.about)
+        return point + p * (along / ca.norm_2(along) if self.zero else along)
