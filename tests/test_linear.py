@@ -99,6 +99,22 @@ def test_one_that_imitates_two_gives_way_to_them():
     assert {one.name for one in told.findings} == {"first", "second"}
 
 
+@pytest.mark.parametrize("hidden_blocks", [1, 2])
+def test_a_second_block_is_judged_beside_the_first(hidden_blocks):
+    """Breaks if a found block's share of the readings counts as uneven noise in the correction for the number of tests."""
+    found_blocks = []
+    for seed in range(20):
+        rng = np.random.default_rng([7, seed])
+        common = rng.standard_normal((100, 1))
+        drives = np.sqrt(0.1) * rng.standard_normal((100, 12)) + np.sqrt(0.9) * common
+        blocks = [Block(f"drive {k}", drives[:, [k]], 5.0) for k in range(12)]
+        residual = -drives[:, :hidden_blocks].sum(axis=1) - rng.standard_normal(100)
+        told = diagnose_linear(residual, np.ones((100, 1)), blocks, rng=rng)
+        found_blocks.append(len(told.findings))
+    assert max(found_blocks) <= hidden_blocks
+    assert np.mean(found_blocks) > 0.65 * hidden_blocks
+
+
 def test_nothing_hidden_raises_no_more_alarms_than_are_allowed():
     """Fails if the number of causes is not paid for, a bound of 1 in 1000: each is as large as noise makes one of twenty, for which
     the evidence asks nothing more, so that every second draw has one by itself beyond 5 %. Variants are the next test's.

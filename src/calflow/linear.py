@@ -18,7 +18,7 @@ from calflow.diagnosis import FALSE_ALARM
 from calflow.diagnosis.regressors import Candidate, Regressors, TallMatrix
 from calflow.diagnosis.screening import Family, Score
 from calflow.diagnosis.serial_errors import LikelyErrors, RestrictedLikelihood, RowOrder
-from calflow.diagnosis.stepwise import SPLIT, CauseAcceptance, Stepwise, verified
+from calflow.diagnosis.stepwise import CLEAR, SPLIT, CauseAcceptance, Stepwise, verified
 from calflow.diagnosis.trial import Detection, Linearisation, Screened, Trial
 from calflow.diagnosis.verdict import verdict
 from calflow.estimation.progress import nobody
@@ -218,9 +218,13 @@ def _solved(residual: np.ndarray, design: np.ndarray, sd: np.ndarray, bounds: np
 
 @dataclass(frozen=True)
 class LinearTrial(Trial[Block]):
-    """A trial model of the stepwise search: the problem with some blocks in the model."""
+    """A trial model of the stepwise search: the problem with some blocks in the model.
+
+    rng: random numbers of the bootstrap that estimates the effective number of tests.
+    """
 
     problem: LinearProblem
+    rng: np.random.Generator
     blocks: tuple[Block, ...] = ()
 
     @property
@@ -245,6 +249,20 @@ class LinearTrial(Trial[Block]):
         narrowed = solution.narrowed(np.concatenate([[], *spans]).astype(int))
         cost = refitted_cost(solution.misfit, solution.level, self.first.degrees_of_freedom, every, narrowed)
         return cost + self._cost_of_errors
+
+    @cached_property
+    def findings(self) -> tuple[Detection[Block], ...]:
+        """Its blocks, each with the scores of all in its place, and the correction for their number by which it was added.
+
+        The first screening's correction is too strict beside others: their share of the residual counts as uneven noise there.
+        """
+        linear, family = self.linearisation, self.first.family
+        return tuple(
+            finding
+            if len(self.blocks) == 1 or finding.p < CLEAR * FALSE_ALARM
+            else replace(finding, family=linear.apart([finding.cause]).family(self.rng))
+            for finding in linear.findings(family)
+        )
 
     @property
     def _cost_of_errors(self) -> float:
@@ -472,7 +490,7 @@ class Search:
     @staticmethod
     def of(problem: LinearProblem, acceptance: CauseAcceptance, rng: np.random.Generator, *blocks: Block) -> Search:
         """Return the search from the empty model, and from one with the given blocks if there are any."""
-        bare = LinearTrial(Screened((), Family({}, 1.0), len(problem.residual)), problem)
+        bare = LinearTrial(Screened((), Family({}, 1.0), len(problem.residual)), problem, rng)
         start = replace(bare, first=bare.linearisation.screened(rng))
         further = [start.with_causes(blocks)] if blocks else []
         best, tried = Stepwise(acceptance, rng, nobody, nobody).best(start, *further)

@@ -101,7 +101,7 @@ def test_a_pair_is_proposed_where_each_is_significant_beside_the_other(false_ala
     blocks = [Block(name, x[:, [k]], 1.0) for k, name in enumerate("abc")]
     residual, design = rng.standard_normal(ROWS) + x @ [0.6, 0.6, 0.0], np.ones((ROWS, 1))
     problem = LinearProblem(residual, design, np.ones(1), tuple(blocks), x, True, None)
-    imitating = LinearTrial(Screened((), FAMILY, ROWS - 1), problem, (blocks[2],))
+    imitating = LinearTrial(Screened((), FAMILY, ROWS - 1), problem, np.random.default_rng(0), (blocks[2],))
     steps = list(Stepwise(CauseAcceptance(false_alarm, 10), rng, nobody, nobody).exchanges(imitating))
     assert [set(step.causes) for step in steps] == [set(blocks[:2])] * proposed
 

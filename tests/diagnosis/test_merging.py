@@ -40,7 +40,7 @@ def trial(effect, blocks):
     noise = 0.1 * np.random.default_rng(3).standard_normal(N)
     matrix = np.hstack([block.matrix for block in EVERY]) / 0.1
     problem = LinearProblem((effect + noise) / 0.1, np.ones((N, 1)) / 0.1, np.array([10.0]), EVERY, matrix, True, None)
-    return LinearTrial(Screened((), Family({}, len(EVERY)), N - 1), problem, tuple(blocks))
+    return LinearTrial(Screened((), Family({}, len(EVERY)), N - 1), problem, np.random.default_rng(0), tuple(blocks))
 
 
 def smooth():
