@@ -11,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.stats import binom
 
@@ -204,6 +205,41 @@ def test_figures_of_no_use_are_refused_together():
                         rng=np.random.default_rng(1), noise=-1.0, groups=np.zeros(3))  # fmt: skip
     assert len(told.value.problems) == 4
     assert f"candidate decay: expected a matrix of shape ({N}, n_parameters)" in str(told.value)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"residual": ["1", "x"] * (N // 2)}, "residual: expected an array of real numbers"),
+        ({"jacobian": COURSE + 1j}, "jacobian: expected an array of real numbers"),
+        ({"noise": "small"}, "noise: expected an array of real numbers"),
+        ({"candidates": DECAY}, "candidates: expected a list of blocks"),
+        ({"candidates": [DECAY.matrix]}, "candidates: expected a list of blocks"),
+        ({"candidates": [DECAY, DECAY]}, "candidate decay: is given 2 times"),
+        ({"groups": [None] * N}, "groups: has figures that are not finite"),
+        ({"rng": 1}, "rng: expected a Generator, found 1"),
+    ],
+)
+def test_what_is_no_figure_is_refused_by_name(wrong, message):
+    """Fails if an argument of the wrong kind ends in an error of the linear algebra, or is taken for something else."""
+    right = {"residual": TIME, "jacobian": COURSE, "candidates": [DECAY], "rng": np.random.default_rng(1)}
+    with pytest.raises(InputError, match=re.escape(message)):
+        diagnose_linear(**(right | wrong))
+
+
+def test_a_block_of_words_is_refused_by_name():
+    """Fails if a block takes what is no matrix of numbers."""
+    with pytest.raises(InputError, match="candidate decay: matrix: expected an array of real numbers"):
+        Block("decay", [["fast"]] * N, 1.0)
+
+
+def test_lists_tables_and_names_of_groups_serve_as_arrays():
+    """Fails if only arrays are understood, or groups only by number."""
+    effect, groups = 0.3 * HEATER, np.repeat(np.arange(N // 3), 3)
+    table = Block("heater", pd.DataFrame(switching().matrix), [0.3])
+    by_name = found(effect, (block for block in [table]), groups=[f"hour {g}" for g in groups])
+    by_number = found(effect, [switching()], groups=groups)
+    assert by_name.findings[0].estimate == by_number.findings[0].estimate
 
 
 def test_a_robot_is_told_the_same_at_its_first_step():

@@ -7,11 +7,13 @@ or in groups, enter the covariance (see `serial_errors`), with variance paramete
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
+import pandas as pd
 import scipy
 
 from calflow.diagnosis import FALSE_ALARM
@@ -23,7 +25,7 @@ from calflow.diagnosis.trial import Detection, Linearisation, Screened, Trial
 from calflow.diagnosis.verdict import verdict
 from calflow.estimation.progress import nobody
 from calflow.estimation.variance_components import refitted_cost
-from calflow.files.problems import Problem, refuse_any
+from calflow.files.problems import Problem, refuse, refuse_any, run_checks
 from calflow.files.toml import Count, FalseAlarm, checked_arguments
 from calflow.model import consecutive
 
@@ -43,6 +45,9 @@ class Block:
     name identifies the cause, and is the same for all its variants. matrix (n, n_parameters) is the Jacobian of the residuals
     by the block's parameters, in units of the residuals per unit of the parameters. prior_sd, lower and upper (n_parameters,),
     or scalars, are the parameters' prior standard deviations about zero, and their bounds.
+
+    Raises:
+        InputError: a matrix, prior_sd, lower or upper that are not numbers.
     """
 
     name: str
@@ -51,6 +56,10 @@ class Block:
     variant: str = ""
     lower: np.ndarray | float = -np.inf
     upper: np.ndarray | float = np.inf
+
+    def __post_init__(self) -> None:
+        for field in ("matrix", "prior_sd", "lower", "upper"):
+            object.__setattr__(self, field, _numbers(f"candidate {self.name}: {field}", getattr(self, field)))
 
     part = ""
     joint = 0
@@ -441,20 +450,24 @@ def diagnose_linear(
             lack of fit is significant (1 %), the noise is scaled to the residuals.
         order: (n,) coordinates of the rows, a time say, along which errors may be serially correlated. None: the order of
             rows, with those of a group together.
-        groups: (n,) numbers, equal for successive rows that may share an error, which then counts once. None: no groups.
+        groups: (n,) numbers or names, equal for rows that may share an error, which then counts once. None: no groups.
         false_alarm: family-wise false-alarm rate: chance of any finding where nothing is hidden.
         most: largest number of findings.
 
     Raises:
         InputError: shapes that do not match, or figures that are not finite or not admissible, all in one message.
     """
-    residual, jacobian = np.asarray(residual, dtype=float), np.asarray(jacobian, dtype=float)
+    named = {"residual": residual, "jacobian": jacobian, "prior_sd": prior_sd, "noise": noise, "order": order}
+    numbers = (partial(_numbers, name, figures) for name, figures in named.items())
+    candidates, residual, jacobian, prior_sd, noise, order = run_checks(partial(_blocks, candidates), *numbers)
+    groups = None if groups is None else np.asarray(groups)
     refuse_any(map(Problem, _problems(residual, jacobian, candidates, prior_sd, noise, order, groups)))
     sigma = np.broadcast_to(1.0 if noise is None else noise, residual.shape)
     whitened, design = residual / sigma, jacobian / sigma[:, None]
     matrix = np.hstack([block.matrix for block in candidates]) / sigma[:, None]
-    prior = _flat(whitened, design) if prior_sd is None else np.asarray(prior_sd, dtype=float)
-    rows, row_order = RowOrder.sorted(len(residual), None if order is None else np.asarray(order, dtype=float), groups)
+    prior = _flat(whitened, design) if prior_sd is None else prior_sd
+    shared = None if groups is None else pd.factorize(groups)[0]  # in order of appearance
+    rows, row_order = RowOrder.sorted(len(residual), order, shared)
     problem = LinearProblem(
         whitened[rows], design[rows], prior, tuple(candidates), matrix[rows], noise is not None, row_order
     )
@@ -543,6 +556,34 @@ def _flat(residual: np.ndarray, jacobian: np.ndarray) -> np.ndarray:
     return np.asarray(UNRESTRICTED * np.linalg.norm(residual) / np.where(length > 0, length, 1.0))
 
 
+def _numbers(name: str, figures: np.ndarray | float | None) -> np.ndarray | None:
+    """Return an argument as real numbers, None if it is not given."""
+    if figures is None:
+        return None
+    try:
+        if not np.iscomplexobj(figures):
+            return np.asarray(figures, dtype=float)
+    except (TypeError, ValueError):
+        pass
+    raise refuse(f"{name}: expected an array of real numbers")
+
+
+def _blocks(candidates: Sequence[Block]) -> tuple[Block, ...]:
+    """Return the candidates, whose names and variants are theirs alone."""
+    every = () if isinstance(candidates, Block) else tuple(candidates)
+    if isinstance(candidates, Block) or not all(isinstance(block, Block) for block in every):
+        raise refuse("candidates: expected a list of blocks, calflow.linear.Block(name, matrix, prior_sd)")
+    count = Counter((block.name, block.variant) for block in every)
+    refuse_any(
+        Problem(
+            f"candidate {' '.join(filter(None, key))}: is given {times} times, expected variants of different names"
+        )
+        for key, times in count.items()
+        if times > 1
+    )
+    return every
+
+
 def _problems(
     residual: np.ndarray, jacobian: np.ndarray, candidates: Sequence[Block], prior_sd: np.ndarray | None,
     noise: np.ndarray | float | None, order: np.ndarray | None, groups: np.ndarray | None,
@@ -570,7 +611,7 @@ def _problems(
     for name, figures in (("order", order), ("groups", groups)):
         if figures is not None and np.shape(figures) != (n,):
             problems.append(f"{name}: expected shape ({n},), found {np.shape(figures)}")
-        elif figures is not None and not np.isfinite(np.asarray(figures, dtype=float)).all():
+        elif figures is not None and not (np.isfinite(figures) if name == "order" else ~pd.isna(figures)).all():
             problems.append(f"{name}: has figures that are not finite")
     if not candidates:
         problems.append("candidates: expected at least one block")

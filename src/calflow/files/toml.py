@@ -389,7 +389,7 @@ FalseAlarm = Annotated[float, Field(gt=0, lt=0.5)]
 def checked_arguments(function: Function) -> Function:
     """Decorate a function such that it raises an InputError with all arguments that contradict its annotations.
 
-    Choices, numbers, texts and instances of classes are validated; sequences and arrays are left to the function.
+    Choices, numbers, texts, generators and instances of classes are validated; sequences and arrays are left to the function.
     """
 
     @wraps(function)
@@ -438,8 +438,8 @@ def _judged(kind: Any) -> Any:
         return None if judged is None else judged | None
     if get_origin(kind) in (Annotated, Literal) or kind in (bool, int, float, str, Path):
         return kind
-    of_ours = inspect.isclass(kind) and kind.__module__.startswith("calflow.")
-    return Annotated[kind, InstanceOf()] if of_ours else None
+    instance = inspect.isclass(kind) and kind.__module__.startswith(("calflow.", "numpy.random."))
+    return Annotated[kind, InstanceOf()] if instance else None
 
 
 def _problems(
