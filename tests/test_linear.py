@@ -286,6 +286,22 @@ def test_errors_that_hang_together_make_no_name():
     assert alarms <= binom.isf(1e-3, 8, 0.03)
 
 
+def test_gross_readings_are_told_and_only_they():
+    """Fails if five wrong readings that hide a heater pass unsaid, under other numbers, or if sound readings are called wrong."""
+    alarms = 0
+    for seed in range(30):
+        rng = np.random.default_rng([3, seed])
+        wrong, order = rng.choice(N, 5, replace=False), rng.permutation(N)
+        reading, sound = HEATER * 0.1 + SIGMA * rng.standard_normal((2, N))
+        reading[wrong] += 3.0
+        apart = [
+            diagnose_linear(-y, COURSE, [switching()], rng=rng, order=order).adequacy.apart for y in (reading, sound)
+        ]
+        assert set(apart[0]) >= set(wrong.tolist())
+        alarms += (len(apart[0]) > len(wrong)) + (len(apart[1]) > 0)
+    assert alarms <= binom.isf(0.001, 60, 0.02)
+
+
 def test_order_is_what_rows_follow_each_other_along():
     """Fails if rows that were shuffled are taken in the order in which they stand, or what hangs together is not told."""
     rng = np.random.default_rng(6)

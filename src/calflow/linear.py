@@ -25,7 +25,7 @@ from calflow.diagnosis.trial import Detection, Linearisation, Screened, Trial
 from calflow.diagnosis.verdict import verdict
 from calflow.estimation.progress import nobody
 from calflow.estimation.variance_components import refitted_cost
-from calflow.files.problems import Problem, refuse, refuse_any, run_checks
+from calflow.files.problems import MOST_TOLD, Problem, refuse, refuse_any, run_checks
 from calflow.files.toml import Count, FalseAlarm, checked_arguments
 from calflow.model import consecutive
 
@@ -34,6 +34,10 @@ __all__ = [
 ]  # fmt: skip
 
 LACK_OF_FIT = 0.01  # significance level of the lack-of-fit test against known noise
+APART = 0.01  # significance level of rows that lie apart, over all rows
+MEDIAN_EFFICIENCY = (
+    0.37  # of the median absolute deviation, relative to the standard deviation's of normal errors (Hampel 1974)
+)
 LEVELS = 20  # most iterations of an unknown noise level
 UNRESTRICTED = 1e4  # prior sd of a parameter without a prior, by its effect on the residuals relative to their norm
 
@@ -189,6 +193,16 @@ class Solution:
         scaled = (self.design * self.prior_sd)[:, ~self.at_bound]
         shown = np.linalg.svd(scaled, compute_uv=False) ** 2
         return float((shown / (shown + 1)).sum())
+
+    @property
+    def apart(self) -> np.ndarray:
+        """Indices of the rows that lie apart (1 %, over all rows) if errors are normal and of the median size of the others."""
+        scaled, n = (self.design * self.prior_sd)[:, ~self.at_bound], len(self.residual)
+        leverage = np.einsum("ip,pi->i", scaled, np.linalg.solve(scaled.T @ scaled + np.eye(scaled.shape[1]), scaled.T))
+        size = np.abs(self.residual) / np.sqrt(np.maximum(1 - leverage, 0.05))
+        freedom = max(1.0, MEDIAN_EFFICIENCY * (n - self.effective_parameters))
+        usual = np.median(size) / scipy.stats.norm.ppf(0.75)
+        return np.flatnonzero(size > usual * scipy.stats.t.isf(APART / 2 / n, freedom))
 
     def narrowed(self, columns: np.ndarray) -> float:
         """Return the log determinant of some parameters' covariance in units of their priors, without those at a bound."""
@@ -379,21 +393,24 @@ class LinearAdequacy:
 
     lack_of_fit is the p-value of the residuals' chi² under the stated noise, taken to be independent; None without a stated noise,
     where lack of fit cannot be distinguished from noise. together is the p-value of the lag-1 autocorrelation of the residuals,
-    whitened by the estimated correlation.
+    whitened by the estimated correlation. apart are the rows, from 0, whose residuals are too large for normal errors of the
+    others' median size: outliers, which hide causes since they are not down-weighted, or noise that differs from row to row.
     """
 
     lack_of_fit: float | None
     together: float
+    apart: tuple[int, ...]
 
     @staticmethod
-    def of(solution: Solution, independent: Solution, noise_known: bool) -> LinearAdequacy:
-        """Return the tests of a solved problem, given also its solution with independent errors."""
+    def of(solution: Solution, independent: Solution, noise_known: bool, rows: np.ndarray) -> LinearAdequacy:
+        """Return the tests of a solved problem, given also its solution with independent errors, and its rows' numbers (n,)."""
         residual = solution.residual
         alike = float(residual[1:] @ residual[:-1] / (residual @ residual)) * np.sqrt(len(residual))
         left = float((independent.residual**2).sum()) * independent.level**2
         freedom = max(1.0, len(residual) - independent.effective_parameters)
         p = float(scipy.stats.chi2.sf(left, freedom)) if noise_known else None
-        return LinearAdequacy(p, float(2 * scipy.stats.norm.sf(abs(alike))))
+        apart = tuple(sorted(rows[solution.apart].tolist()))
+        return LinearAdequacy(p, float(2 * scipy.stats.norm.sf(abs(alike))), apart)
 
     @property
     def statement(self) -> str:
@@ -405,6 +422,9 @@ class LinearAdequacy:
             words = f"What is left is {much} than the noise (p = {self.lack_of_fit:.2g})."
         if self.together < LACK_OF_FIT:
             words += f" It is correlated from row to row beyond what the noise explains (p = {self.together:.2g})."
+        if self.apart:
+            listed = ", ".join(map(str, self.apart[:MOST_TOLD])) + (", ..." if len(self.apart) > MOST_TOLD else "")
+            words += f" Rows too far off for normal noise, which may hide causes: {listed} (from 0)."
         return words
 
 
@@ -481,7 +501,7 @@ def diagnose_linear(
         tuple(dict.fromkeys(block.name for block in candidates if block.name not in _visible(search.best))),
         LinearNoise.of(search.best.solution),
         LinearAdequacy.of(
-            search.best.solution, replace(problem, order=None).solved(search.best.blocks), problem.noise_known
+            search.best.solution, replace(problem, order=None).solved(search.best.blocks), problem.noise_known, rows
         ),
     )
 
