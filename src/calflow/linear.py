@@ -48,7 +48,8 @@ class Block:
 
     name identifies the cause, and is the same for all its variants. matrix (n, n_parameters) is the Jacobian of the residuals
     by the block's parameters, in units of the residuals per unit of the parameters. prior_sd, lower and upper (n_parameters,),
-    or scalars, are the parameters' prior standard deviations about zero, and their bounds.
+    or scalars, are the parameters' prior standard deviations about zero, and their bounds. A size well beyond prior_sd is estimated
+    too small, with an sd that does not show it.
 
     Raises:
         InputError: a matrix, prior_sd, lower or upper that are not numbers.
@@ -144,10 +145,13 @@ class LinearProblem:
         if self.order is None:
             return independent
         free = ~independent.at_bound
+        scaled = (design * sd)[:, free]
+        # Priors are as wide as the sizes by least squares: a size beyond its prior is no sign of correlated errors.
+        wide = np.maximum(1.0, np.abs(np.linalg.lstsq(scaled, self.residual)[0]))
         likelihood = RestrictedLikelihood(
             residual=independent.residual * independent.level,
-            design=(design * sd)[:, free],
-            pull=(independent.estimate / sd)[free],
+            design=scaled * wide,
+            pull=(independent.estimate / sd)[free] / wide,
             level=independent.level,
             degrees_of_freedom=max(1.0, len(self.residual) - independent.effective_parameters),
         )
