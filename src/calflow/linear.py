@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 import numpy as np
-import pandas as pd
 import scipy
 
 from calflow.diagnosis import FALSE_ALARM
@@ -25,6 +24,7 @@ from calflow.diagnosis.trial import Detection, Linearisation, Screened, Trial
 from calflow.diagnosis.verdict import verdict
 from calflow.estimation.progress import nobody
 from calflow.estimation.variance_components import refitted_cost
+from calflow.files.deferred import pd
 from calflow.files.problems import MOST_TOLD, Problem, refuse, refuse_any, run_checks
 from calflow.files.toml import Count, FalseAlarm, checked_arguments
 from calflow.model import consecutive
