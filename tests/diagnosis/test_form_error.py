@@ -33,7 +33,7 @@ def found(data, size, cubic):
     catalogue = Catalogue(
         (cause("gear-ratio-error", "joint2").effect, cause("joint-eccentricity", "joint2", order=1).effect), {}
     )
-    ended = extend(start(data), catalogue, CauseAcceptance(0.01, 1), np.random.default_rng(1), lambda _: None)
+    ended = extend(start(data), catalogue, CauseAcceptance(0.01, 1), np.random.default_rng(1), lambda _: None).extended
     return ended.findings[0], FittedTrial(ended.first, ended.fitted, catalogue).findings[0]
 
 
