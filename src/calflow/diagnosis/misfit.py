@@ -187,8 +187,7 @@ def _inputs(fitted: Fitted) -> list[_Input]:
             inputs.append(_Input(name, data.table[name].to_numpy(float), unit))
             break
     labels = [_Input(name, data.table[name].astype(str).to_numpy(object)) for name in LABELS if name in data.table]
-    device = np.array([series.device for series in data.series], dtype=object)[data.series_number]
-    labels.append(_Input("device", device))
+    labels.append(_Input("device", data.device))
     return inputs + [label for label in labels if len(set(label.values)) > 1]
 
 

@@ -62,7 +62,7 @@ class FrameStep(StepChange):
 
     def undecided(self, data: Measurements) -> np.ndarray:
         """Return the rows of which the fitted ones do not tell whether they are of the device before the step."""
-        about = _seen_by(self.of, data)
+        about = np.array([self.concerns(name) for name in data.device], dtype=bool)
         about[about] = between_fitted(data.only(about), self.moment)
         return about
 
@@ -82,23 +82,20 @@ class FrameStep(StepChange):
         return point if self.of == FOOT else self.undone(p, point, row)
 
 
-def _seen_by(of: str, data: Measurements) -> np.ndarray:
-    """Return the rows (n_rows,) of a device, or all."""
-    return np.array([of in ("", FOOT, series.device) for series in data.series])[data.series_number]
-
-
 def _movable(data: Measurements, moment: float) -> Iterator[str]:
     """Yield what may have moved at a moment: the only device, or each that is used before and after, and the foot.
 
     The foot is left out where one of several devices is used: the others stand as they did, and only its rows tell.
     """
-    devices = tuple(dict.fromkeys(series.device for series in data.series))
-    if len(devices) == 1:
+    if len(data.devices) == 1:
         yield ""
         return
-    before = data.table["order"].to_numpy(float) < moment
-    rows = {name: _seen_by(name, data) for name in devices}
-    used = [name for name, own in rows.items() if min((own & before).sum(), (own & ~before).sum()) >= FEWEST]
+    before, device = data.table["order"].to_numpy(float) < moment, data.device
+    used = [
+        name
+        for name in data.devices
+        if min((before & (device == name)).sum(), (~before & (device == name)).sum()) >= FEWEST
+    ]
     yield from used
     if len(used) != 1:
         yield FOOT

@@ -131,14 +131,11 @@ def _movable(data: Measurements) -> Iterator[str]:
 
     A device whose frames are found session by session anyway does not tell.
     """
-    devices: dict[str, np.ndarray] = {}
-    for k, series in enumerate(data.series):
-        if not series.station.by_session:
-            devices[series.device] = devices.get(series.device, False) | data.of_series(k)
-    if len({series.device for series in data.series}) == 1:
-        yield from ([""] if devices else [])
+    stays = np.array([not series.station.by_session for series in data.series])[data.series_number]
+    if len(data.devices) == 1:
+        yield from ([""] if stays.any() else [])
         return
-    used = [name for name, rows in devices.items() if len(sessions_of(data.only(rows))) > 1]
+    used = [name for name in data.devices if len(sessions_of(data.only(stays & (data.device == name)))) > 1]
     yield from used
     if len(used) > 1:
         yield ""

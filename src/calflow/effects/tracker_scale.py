@@ -15,7 +15,6 @@ from calflow.robot.robot import Robot
 
 SD, WIRE_SD = 3e-5, 1e-3  # of a device's scale, and of that which a study states of a wire's drum
 ZERO_SD = 1e-3  # m, of a wire's zero that a study states
-OF_POSITIONS = ("", "position", "pose")  # kinds of series
 
 
 @dataclass(frozen=True)
@@ -44,17 +43,17 @@ class TrackerScale(Effect):
     @classmethod
     def asks(cls, robot: Robot, data: Measurements) -> tuple[str, ...]:
         """Return what is unmet of its needs; nothing where one device's lengths are held against another's."""
-        return super().asks(robot, data) if len({series.device for series in data.series}) == 1 else ()
+        return super().asks(robot, data) if len(data.devices) == 1 else ()
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
         """Return the scale of the only device, or scale and zero of each so far as the study takes them for known."""
-        if len({series.device for series in data.series}) == 1:
+        if len(data.devices) == 1:
             return (cls(robot),)
         forms = {}
         for series in data.series:
             about, wire = series.triple("anchor") or cls.about, series.kind == "distance"
-            if series.kind in OF_POSITIONS:
+            if series.has_positions:
                 forms[series.device] = cls(robot, series.device)
             if wire and series.setting("scale") is not None:
                 forms[series.device] = cls(robot, series.device, about, WIRE_SD)

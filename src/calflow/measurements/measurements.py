@@ -204,6 +204,16 @@ class Measurements:
         return self.series_number == k
 
     @property
+    def devices(self) -> tuple[str, ...]:
+        """Names of the devices, in order of the series."""
+        return tuple(dict.fromkeys(series.device for series in self.series))
+
+    @property
+    def device(self) -> np.ndarray:
+        """Name of each row's device, shape (n_rows,)."""
+        return np.array([series.device for series in self.series], dtype=object)[self.series_number]
+
+    @property
     def sigma(self) -> np.ndarray | None:
         """Standard deviation of each row's position, per axis, shape (n_rows,) [m]; None if unknown."""
         return self.table["sigma"].to_numpy() if "sigma" in self.table else None

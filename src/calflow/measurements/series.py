@@ -69,9 +69,14 @@ class Series:
     within: tuple[str, ...] = ()
 
     @property
+    def has_positions(self) -> bool:
+        """Whether it reports positions, or poses, from a station."""
+        return self.kind in ("", "position", "pose")
+
+    @property
     def device(self) -> str:
         """Name of its device: positions from one station are of one, and so is every other series."""
-        if self.kind in ("", "position", "pose"):
+        if self.has_positions:
             return " ".join(filter(None, ("station", self.station.name)))
         return self.name or self.kind
 
