@@ -2,24 +2,15 @@
 
 from __future__ import annotations
 
-import runpy
-from pathlib import Path
-
 import numpy as np
 import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
 import calflow as cf
+from first_steps import ARM, head
 
-FIRST_STEPS = Path(__file__).parents[2] / "studies" / "first-steps"
-ARM = runpy.run_path(str(FIRST_STEPS / "measured.py"))  # an arm by NumPy and SciPy alone
-HEAD = (
-    (FIRST_STEPS / "tracker.toml")
-    .read_text()
-    .split("[measurements]")[0]
-    .replace("arm.toml", str(FIRST_STEPS / "arm.toml"))
-)
+HEAD = head("tracker.toml")
 SHIFT = np.array([4e-4, -3e-4, 3e-4])  # m
 
 

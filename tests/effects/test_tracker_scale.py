@@ -2,23 +2,14 @@
 
 from __future__ import annotations
 
-import runpy
-from pathlib import Path
-
 import numpy as np
 import pandas as pd
 import pytest
 
 import calflow as cf
+from first_steps import ARM, head
 
-FIRST_STEPS = Path(__file__).parents[2] / "studies" / "first-steps"
-ARM = runpy.run_path(str(FIRST_STEPS / "measured.py"))  # an arm by NumPy and SciPy alone
-HEAD = (
-    (FIRST_STEPS / "tracker.toml")
-    .read_text()
-    .split("[measurements]")[0]
-    .replace("arm.toml", str(FIRST_STEPS / "arm.toml"))
-)
+HEAD = head("tracker.toml")
 ANCHOR = np.array([1.6, 0.4, -0.2])
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import runpy
 from pathlib import Path
 
 import numpy as np
@@ -11,16 +10,10 @@ import pytest
 import calflow as cf
 from calflow.faults import examined
 from calflow.files.problems import InputError
+from first_steps import ARM, head
 
-FIRST_STEPS = Path(__file__).parents[2] / "studies" / "first-steps"
-ARM = runpy.run_path(str(FIRST_STEPS / "measured.py"))  # an arm by NumPy and SciPy alone
 ANCHORS = ([1.9, 0.3, -0.2], [-0.9, 0.8, 0.9])
-STUDY = (
-    (FIRST_STEPS / "wire.toml")
-    .read_text()
-    .split("[[measurements]]")[0]
-    .replace("arm.toml", str(FIRST_STEPS / "arm.toml"))
-)
+STUDY = head("wire.toml")
 
 
 def wires(folder: Path, inches: slice, of: int) -> cf.Study:

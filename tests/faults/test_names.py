@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import runpy
 from pathlib import Path
 
 import numpy as np
@@ -11,18 +10,16 @@ from scipy.optimize import brentq
 
 import calflow as cf
 from calflow.faults import examined
+from first_steps import ARM, FIRST_STEPS, head
 
-FIRST_STEPS = Path(__file__).parents[2] / "studies" / "first-steps"
-ARM = runpy.run_path(str(FIRST_STEPS / "measured.py"))  # an arm by NumPy and SciPy alone
-STUDY = (FIRST_STEPS / "wire.toml").read_text().split("[[measurements]]")[0]
+STUDY = head("wire.toml")
 NORMALS = {"floor": np.array([0, 0, 1.0]), "wall": np.array([1.0, 0, 0]), "slope": np.array([0.0, 0.6, 0.8])}
 
 
 def study(folder: Path, kind: str, rows: list[list[str]]) -> cf.Study:
     """A study of one series, of rows with a header."""
     (folder / "m.csv").write_text("\n".join(map(",".join, rows)) + "\n")
-    text = STUDY.replace("arm.toml", str(FIRST_STEPS / "arm.toml"))
-    text += f'[[measurements]]\nkind = "{kind}"\nfile = "m.csv"\nsigma_mm = 0.05\n[split]\nholdout = 0.3\n'
+    text = STUDY + f'[[measurements]]\nkind = "{kind}"\nfile = "m.csv"\nsigma_mm = 0.05\n[split]\nholdout = 0.3\n'
     (folder / "study.toml").write_text(text)
     return cf.load_study(folder / "study.toml")
 
