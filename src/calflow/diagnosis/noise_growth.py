@@ -10,6 +10,7 @@ import scipy
 
 from calflow.diagnosis.fitted import MOST_LEVERAGE, Fitted
 from calflow.estimation.noise import MIN_REPEATS, Noise
+from calflow.files.deferred import pd
 from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements
 
@@ -87,15 +88,12 @@ def _rank_test(spread: SpreadByRange) -> float:
     Only growth within a set-up counts: of two devices the further one may be the noisier.
     """
     beyond = spread.squared / spread.freedom / spread.stated**2
-    setups = np.unique(spread.setup, return_inverse=True)[1]
-    of_setup = np.eye(setups.max() + 1)[setups]
-    ranks = scipy.stats.rankdata([beyond, spread.distance], axis=1)
-    within = ranks - (ranks @ of_setup / of_setup.sum(axis=0)) @ of_setup.T
-    freedom = len(beyond) - 1 - of_setup.shape[1]
-    size = float(np.prod(np.linalg.norm(within, axis=1)))
-    if freedom < 1 or not size:
+    ranks = pd.DataFrame({"beyond": beyond, "distance": spread.distance}).rank()
+    within = ranks - ranks.groupby(spread.setup).transform("mean")
+    freedom = len(ranks) - 1 - len(np.unique(spread.setup))
+    if freedom < 1 or not within.any().all():
         return 1.0
-    correlation = min(float(within[0] @ within[1]) / size, 1.0)
+    correlation = within["beyond"].corr(within["distance"])
     return float(scipy.stats.t.sf(correlation * np.sqrt(freedom / max(1 - correlation**2, 1e-300)), freedom))
 
 
