@@ -14,6 +14,7 @@ from calflow.deployment.validation import validate
 from calflow.design.candidates import candidates
 from calflow.effects.session_frame import SessionFrame
 from calflow.estimation.extrapolation import Later
+from calflow.files.problems import InputError
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.series import Series, Station
 from calflow.model import build
@@ -315,3 +316,7 @@ def test_sessions_that_had_frames_of_their_own_get_one(robot, by):
     assert validate(anew, off).judged.rms_mm < 0.15
     found = drift(anew, off).summary
     assert (found.station, found.status) == ("fitted", "in place")
+    for judge in (validate, drift):
+        with pytest.raises(InputError, match="session 'Friday' has 2 points"):
+            judge(anew, off.only(np.arange(len(off)) < 2))
+    assert validate(anew, off.only(np.arange(len(off)) < 2), station="known").judged.rms_mm > 0.9

@@ -67,6 +67,11 @@ class Alignment:
         return float(Rotation.from_matrix(self.turn).magnitude())
 
 
+def placed_anew(station: Station, by_session: bool) -> bool:
+    """Whether all frames are fitted: it is asked for, or the calibration's sessions had frames of their own (see `Model`)."""
+    return station == "fitted" or (station == "auto" and by_session)
+
+
 def can_align(points: np.ndarray) -> bool:
     """Whether points (n, 3) suffice to fit a frame with residuals left: enough of them, and not collinear."""
     if len(points) < FEWEST_FOR_FRAME:
@@ -288,10 +293,9 @@ class Attained:
             InputError: a frame is to be fitted to too few points, or to points on one line.
         """
         sessions = list(zip(self.sessions, self.motions, self.of_sessions, strict=True))
-        if station != "fitted" or not self.in_space:
+        if not self.in_space or not placed_anew(station, self.by_session):
             elsewhere = [
-                motion is not None and (self.by_session or motion.moved(self.measured[rows]) > ELSEWHERE)
-                for _, motion, rows in sessions
+                motion is not None and motion.moved(self.measured[rows]) > ELSEWHERE for _, motion, rows in sessions
             ]
             return replace(self, fitted=np.array(elsewhere) & (station == "auto"))
         for name, motion, rows in sessions:

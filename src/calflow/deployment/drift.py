@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from calflow.deployment.attained import ELSEWHERE, Attained, Station, beside_motion, can_align, rigid_slope
+from calflow.deployment.attained import ELSEWHERE, Attained, Station, beside_motion, can_align, placed_anew, rigid_slope
 from calflow.deployment.movements import (
     ANYWHERE,
     FALSE_ALARM,
@@ -95,7 +95,8 @@ def _rest(check: CheckProblem, k: int, station: Station) -> CheckProblem | None:
     left = check.data.only(check.share[k] == 0)
     same = check.session == check.session[k]
     same[k] = False
-    if not same.any() or (station == "fitted" and not can_align(check.points[same])):
+    anew = placed_anew(station, check.calibrated.model.by_session)
+    if not same.any() or (anew and not can_align(check.points[same])):
         return None
     return CheckProblem.of(check.calibrated, left, Attained.of(check.calibrated, left, station).is_refitted(left))
 
