@@ -460,6 +460,7 @@ def test_every_rule_is_tested() -> None:
         (ranked.board_as_stated,
          {"identify/in_space.csv": in_space(0.2, 0.3, 0.4),
           "identify/parameters.csv": parameter_table(parameter="target.scale", effect="camera", symbol="scale")}),
+        (ranked.board_as_stated, {"identify/in_space.csv": in_space(0.2, 0.3, 0.4), **summary(new_poses_mm=0.05)}),  # a tracker too
         (ranked.board_as_stated, {}),
         (ranked.second_marker, {"identify/identifiability.csv": statements(("trade", "joint6.d;A.z;B.z")),
                                          "identify/placement.csv": placement("A", "B"),

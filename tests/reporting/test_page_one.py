@@ -113,7 +113,10 @@ def test_a_size_that_nobody_measured_is_told(small: Context) -> None:
     document = to_document(replace(certainty, reach_m=(0.4, 0.8), heights_m=(-0.6, 0.5)))
     results = replace(given.results, documents={**given.results.documents, "diagnose/certainty.json": document})
     assert not any("Size:" in text for text in page_one(report_material(given.study, results, given.run_folder)))
-    of_images = replace(results, tables={**results.tables, "identify/in_space.csv": in_space(0.2, 0.3, 0.4)})
+    beside = replace(results, tables={**results.tables, "identify/in_space.csv": in_space(0.2, 0.3, 0.4)})
+    assert not any("Size:" in text for text in page_one(report_material(given.study, beside, given.run_folder)))
+    alone = replace(given.results.document("diagnose/summary.json", DiagnosisSummary), new_poses_mm=None)
+    of_images = replace(beside, documents={**beside.documents, "diagnose/summary.json": to_document(alone)})
     shown = page_one(report_material(given.study, of_images, given.run_folder))
     far = "if it is 0.1 % larger, the tool is off by up to 1.00 mm more"
     assert [text for text in shown if "Size:" in text] == [f"Size: the board's counts as exact; {far}."]

@@ -459,7 +459,7 @@ def board_as_stated(outcome: RunOutcome) -> Iterator[Advice]:
 def size_is_assumed(outcome: RunOutcome) -> bool:
     """Whether images alone were measured, of a board whose size counts as exact: expected errors lack that of its size."""
     of_print = [row for row in outcome.identified_parameters if row.effect == Camera.id and row.symbol == PRINT_SCALE]
-    return bool(outcome.in_space) and not of_print
+    return bool(outcome.in_space) and outcome.fit_summary.new_poses_mm is None and not of_print
 
 
 def meant(row: FittedParameter) -> str:
