@@ -58,12 +58,13 @@ def test_what_is_missed_is_that_of_a_fit_to_the_other_rows():
     gone = np.array([0, 3])
     value = known.fit.estimate[np.flatnonzero(~known.fit.at_bound)][gone]
     whole = left_by(known)
+    along = whole.root_covariance(gone)
     for kind in pose_blocks(known):
         for number, block in zip(np.unique(kind), LeftOutBlock.each(whole, kind), strict=True):
             there = kind == number
             for model, missed in (
                 (whole.regressors, block.error),
-                (whole.regressors.without(gone, value), block.without(whole, gone, value)),
+                (whole.regressors.without(gone, value), block.without(along, value + whole.change[gone])),
             ):
                 j, e = model.jacobian[~there], model.residual[~there]
                 change = np.linalg.solve(j.T @ j + np.diag(model.precision), j.T @ e + model.pull)

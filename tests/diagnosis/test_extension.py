@@ -91,8 +91,9 @@ def test_a_wrong_cause_gives_way_and_a_needless_one_goes(data):
     eccentric, needless = cause("joint-eccentricity", "joint1", order=2), cause("gear-ratio-error", "joint5")
 
     def thoughts(*causes):
-        linearisation = Linearisation.at(begun.with_causes(causes), catalogue_)
-        return second_thoughts(linearisation.findings(linearisation.screened(np.random.default_rng(2)).family), GATE)
+        model = begun.with_causes(causes)
+        screened = Linearisation.at(model, catalogue_).screened(np.random.default_rng(2))
+        return second_thoughts(FittedTrial(screened, model, catalogue_), GATE)
 
     assert thoughts(right, eccentric, needless) == [right, eccentric]
     assert [c.place for c in thoughts(wrong)] == [right.place]

@@ -6,7 +6,7 @@ stands for something else fits only the rows on which it was found. Linear, from
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -83,11 +83,13 @@ class LeftOutBlock:
         """The whitened prediction errors (n_own,)."""
         return np.asarray(self.residual + self.root.T @ self.change)
 
-    def without(self, model: Screening[Cause], parameters: np.ndarray, value: np.ndarray) -> np.ndarray:
-        """Return the errors (n_own,) of the model without some free parameters (by index), whose estimates are value."""
-        along = model.root_covariance(parameters)
+    def without(self, along: np.ndarray, value: np.ndarray) -> np.ndarray:
+        """Return the errors (n_own,) of the model without some parameters of these estimates by the fit to all, value (n,).
+
+        along (n_free, n) is a root of their covariance.
+        """
         told = scipy.linalg.cho_solve(self.others, along)
-        estimate = value + model.change[parameters] + along.T @ self.change
+        estimate = value + along.T @ self.change
         return self.error - self.root.T @ (told @ np.linalg.solve(along.T @ told, estimate))
 
 
@@ -99,8 +101,10 @@ def carried_over(
     A general smooth function of time cannot predict times that were left out: it is tested on blocks in joint space alone.
     """
     gains, ratios = [], list[float]()
+    parameters, estimate = fitted.own(cause)
+    along, value = beside.root_covariance(parameters), estimate + beside.change[parameters]
     for blocks in kinds[:1] if cause.effect.smooth_in else kinds:
-        pairs = [(block.without(beside, *fitted.own(cause)), block.error) for block in blocks]
+        pairs = [(block.without(along, value), block.error) for block in blocks]
         gains.append(float(sum(a @ a - b @ b for a, b in pairs)))
         ratios += [np.log(np.abs(a).max() / np.abs(b).max()) for a, b in pairs]
     mean, spread = float(np.mean(ratios)), float(np.std(ratios, ddof=1)) / np.sqrt(len(ratios))
@@ -108,10 +112,8 @@ def carried_over(
     return CarriedOver(tuple(gains), p)
 
 
-def carrying(fitted: Fitted, basis: BackgroundBasis) -> set[Cause]:
-    """Return the causes of the model that carry over."""
-    if not fitted.causes:
-        return set()
+def carrying(fitted: Fitted, basis: BackgroundBasis, causes: Iterable[Cause]) -> Iterator[bool]:
+    """Yield whether each of some causes of the model carries over."""
     beside = Screening(replace(fitted, background=background(fitted, basis)).beside)
     kinds = [LeftOutBlock.each(beside, kind) for kind in pose_blocks(fitted)]
-    return {cause for cause in fitted.causes if carried_over(fitted, cause, beside, kinds).holds}
+    yield from (carried_over(fitted, cause, beside, kinds).holds for cause in causes)

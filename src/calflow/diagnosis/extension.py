@@ -66,6 +66,11 @@ class FittedTrial(Trial[Cause]):
         chi2, narrowed = settled.chi2 + fitted.outlier_loss, float(np.linalg.slogdet(root.T @ root)[1])
         return refitted_cost(chi2, fitted.scale, self.first.degrees_of_freedom, every, narrowed)
 
+    @cached_property
+    def own_findings(self) -> tuple[Detection[Cause], ...]:
+        """Its causes, each with the scores of its own place alone."""
+        return tuple(self.linearisation.own_findings(self.first.family)) if self.causes else ()
+
     def with_causes(self, causes: Sequence[Cause], added: Score[Cause] | None = None) -> FittedTrial:
         """Return the study's effects fitted with these causes, a new one started from its linear estimate."""
         if added is None:
@@ -292,9 +297,10 @@ def weighed(start: Fitted, first: Searched, basis: BackgroundBasis, catalogue: C
         found = ended.fitted
         if frozenset(found.causes) == held:
             break
-    against, carries = unnamed(ended.fitted, basis, catalogue.variants), carrying(ended.fitted, basis)
+    against = unnamed(ended.fitted, basis, catalogue.variants)
+    carries = dict(zip(against, carrying(ended.fitted, basis, against), strict=True)) if against else {}
     findings = (
-        replace(finding, unnamed=against[finding.cause], carries_over=finding.cause in carries)
+        replace(finding, unnamed=against[finding.cause], carries_over=carries[finding.cause])
         for finding in ended.extended.findings
     )
     return Extended(ended.fitted, tuple(findings), begin.first)
@@ -321,12 +327,12 @@ def _weakest(fitted: Fitted, basis: BackgroundBasis, variants: Mapping[Place, in
     Along the inputs of which its family is a general smooth function, no unnamed error replaces it: that would be another member.
     """
     against = unnamed(fitted, basis, variants, lambda cause: cause.effect.named_in())
-    weakest = min(against, key=lambda cause: against[cause], default=None)
-    if weakest is None or against[weakest] < 0:
-        return weakest
-    carries = carrying(fitted, basis)
-    failing = [cause for cause in against if cause not in carries]
-    return min(failing, key=lambda cause: against[cause], default=None)
+    weakest = sorted(against, key=lambda cause: against[cause])
+    if not weakest or against[weakest[0]] < 0:
+        return next(iter(weakest), None)
+    return next(
+        (cause for cause, holds in zip(weakest, carrying(fitted, basis, weakest), strict=True) if not holds), None
+    )
 
 
 def _searched(begin: FittedTrial, beside: FittedTrial, search: Stepwise) -> Searched:
@@ -348,7 +354,7 @@ def _second_thought(best: Trial[Cause], tried: list[Trial[Cause]], search: Stepw
     The evidence of fits takes the background's variances as known; the comparison of rivals in a cause's place does not.
     """
     for _ in range(THOUGHTS):
-        wanted = second_thoughts(best.findings, search.acceptance)
+        wanted = second_thoughts(best, search.acceptance)
         if set(best.causes) == set(wanted):
             break
         if is_new(wanted, tried):

@@ -336,7 +336,7 @@ class Stepwise:
 
     def stands(self, trial: Trial[H]) -> bool:
         """Whether each of a trial's causes would be accepted again."""
-        return all(map(self.acceptance.keeps, trial.findings))
+        return all(map(self.acceptance.keeps, trial.own_findings))
 
     def exchanges(self, trial: Trial[H]) -> Iterator[Proposal[H]]:
         """Yield the causes with two replaced by one or two, or one by two, where that explains the data better."""
@@ -363,7 +363,7 @@ class Stepwise:
         yield from (_replaced(trial, causes) for causes in trial.refined())
         if len(trial.causes) < self.acceptance.most:
             yield from self._added(trial)
-        yield _replaced(trial, second_thoughts(trial.findings, self.acceptance))
+        yield _replaced(trial, second_thoughts(trial, self.acceptance))
 
     def _added(self, trial: Trial[H]) -> Iterator[Proposal[H]]:
         """Yield the causes with the best accepted candidate added, if there is one."""
@@ -426,18 +426,16 @@ def words(cause: H) -> str:
     return " ".join(filter(None, (cause.id, cause.part, f"({cause.detail})" if cause.detail else "")))
 
 
-def second_thoughts(findings: Sequence[Detection[H]], acceptance: CauseAcceptance) -> list[H]:
+def second_thoughts(trial: Trial[H], acceptance: CauseAcceptance) -> list[H]:
     """Return the causes with one dropped that is no longer accepted, or replaced by a more probable rival; one change at most."""
-    causes = [finding.cause for finding in findings]
-    weakest = sorted(findings, key=lambda finding: -_own_cost(finding))
-    for finding in weakest:
+    for finding in _weakest_first(trial.own_findings):
         if not acceptance.keeps(finding):
-            return [cause for cause in causes if cause != finding.cause]
-    for finding in weakest:
+            return [cause for cause in trial.causes if cause != finding.cause]
+    for finding in _weakest_first(trial.findings):
         cost, best = min(finding.places.values(), key=lambda scored: scored[0])
         if cost < finding.cost and acceptance.accepts(best, finding.family):
-            return swapped(causes, finding.cause, best.cause)
-    return causes
+            return swapped(trial.causes, finding.cause, best.cause)
+    return list(trial.causes)
 
 
 def _cost_apart(trial: Trial[H]) -> float:
@@ -445,5 +443,6 @@ def _cost_apart(trial: Trial[H]) -> float:
     return trial.cost + SPLIT * len(trial.causes)
 
 
-def _own_cost(finding: Detection[H]) -> float:
-    return next((score.cost for score in finding.scores if score.cause == finding.cause), 0.0)
+def _weakest_first(findings: Sequence[Detection[H]]) -> list[Detection[H]]:
+    own = {f.cause: next((score.cost for score in f.scores if score.cause == f.cause), 0.0) for f in findings}
+    return sorted(findings, key=lambda finding: -own[finding.cause])

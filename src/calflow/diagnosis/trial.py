@@ -132,6 +132,11 @@ class Linearisation(Generic[H]):
         """Return the causes with the scores of all candidates in each one's place."""
         return [Detection(cause, tuple(self.apart([cause]).scores), family) for cause in self.causes]
 
+    def own_findings(self, family: Family) -> list[Detection[H]]:
+        """Return the causes with the scores of each one's own place alone, which take a small part of the time."""
+        stay = {cause: [other for other in self.causes if other != cause] for cause in self.causes}
+        return [Detection(cause, tuple(self.forms(stay[cause], cause.place)), family) for cause in self.causes]
+
     def forms(self, causes: Sequence[H], place: Place) -> list[Score[H]]:
         """Return the scores of all forms of a place beside the given causes, best first."""
         return self.tested_with(causes, place).scores
@@ -197,6 +202,11 @@ class Trial(ABC, Generic[H]):
     def findings(self) -> tuple[Detection[H], ...]:
         """Its causes, each with the scores of all candidates in its place."""
         return tuple(self.linearisation.findings(self.first.family)) if self.causes else ()
+
+    @property
+    def own_findings(self) -> tuple[Detection[H], ...]:
+        """Its causes, each with the scores of its own place at least, which tell whether it stays."""
+        return self.findings
 
 
 def is_new(causes: Sequence[Any], tried: Sequence[Trial]) -> bool:
