@@ -7,10 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calflow.diagnosis.cause_tables import cause_table
 from calflow.diagnosis.screening import Catalogue, Family, by_place
 from calflow.diagnosis.trial import Linearisation
 from calflow.diagnosis.verdict import models_in_reach, rivals_shown, verdict
 from calflow.effects import catalogue
+from calflow.effects.cause import Cause
 from diagnosis.found import cause, hidden, start
 from robots import industrial
 
@@ -58,6 +60,25 @@ def test_the_same_probabilities_stand_in_findings_and_in_the_models(found):
     stated = verdict(doubted).probability
     assert stated == pytest.approx(1 / (1 + np.exp(-0.5) + np.exp(-2.0)), abs=1e-3)
     assert weights[having].sum() / weights.sum() == pytest.approx(stated, abs=5e-3)
+
+
+def test_a_curve_and_what_could_not_be_tested_stand_among_the_models():
+    """Fails if a cause is certain in the models and one of several by its name: a curve, or one whose twin was not tested."""
+    data = hidden([(ECCENTRIC, (6e-5, -3e-5)), (play := cause("torque-backlash", "joint2"), (3e-4,))])
+    curve = Cause(data.robot, catalogue()["joint-error-map"].variants(data.robot, data)[0], "joint2")
+    every = Catalogue((curve.effect, ECCENTRIC.effect, play.effect), {"joint-backlash": "approach"})
+    final = start(data).with_causes([curve, play])
+    look = Linearisation.at(final, every)
+    findings = [replace(finding, unnamed=30.0) for finding in look.findings(Family({}, 1.0))]
+    models = models_in_reach(final, findings, look.beside.scores, every)
+    weights = np.exp([model.log_weight for model in models])
+    for finding in findings:
+        having = [finding.cause.place in {one.place for one in model.causes} for model in models]
+        stated = verdict(finding, every.untestable(finding.cause.id)).probability
+        assert weights[having].sum() / weights.sum() == pytest.approx(stated, abs=5e-3)
+        assert stated < 0.95
+    causes = cause_table(models).set_index(["cause", "part"])["probability"]
+    assert causes["joint-backlash", "joint2"] == pytest.approx(causes["torque-backlash", "joint2"], abs=5e-3)
 
 
 def test_doubts_of_two_causes_do_not_exclude_each_other():

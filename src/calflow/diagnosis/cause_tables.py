@@ -259,7 +259,7 @@ def _acting_along(jacobian: np.ndarray, value: np.ndarray, lever: np.ndarray | N
 
 @dataclass(frozen=True, kw_only=True)
 class ModelRow:
-    """A model that may be right, by its causes, the likeliest first; no row where no cause found could be another."""
+    """A model that may be right, by its causes, the likeliest first; no row where nothing was found."""
 
     model: int = column("its number; 1: the model found")
     change: Change = column(
@@ -268,7 +268,9 @@ class ModelRow:
     causes: tuple[str, ...] = column("ids of its causes; empty: none")
     joints: tuple[int, ...] = column("the joint or link of each; 0: none")
     parts: tuple[str, ...] = column("the part of the robot that each is a cause of")
-    details: tuple[str, ...] = column("the form of each, in words; -: it has only one", separator="; ")
+    details: tuple[str, ...] = column(
+        "the form of each, in words, or that it was not tested; -: it has only one", separator="; "
+    )
     log_evidence: float = column("log marginal likelihood, relative to the model that diagnose found")
     log_prior: float = column("log prior probability, relative to a model without causes")
     probability: float = column("posterior probability, if one of these models is right")

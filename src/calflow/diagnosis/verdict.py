@@ -11,7 +11,7 @@ measuring device is not applied to the robot: it stays in the model, to keep its
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, combinations, starmap
 from types import MappingProxyType
@@ -113,9 +113,8 @@ def verdict(finding: Detection[H], untestable: Mapping[str, str] = MappingProxyT
     cause = finding.cause
     elsewhere = [(cost - finding.cost, best) for place, (cost, best) in finding.places.items() if place != cause.place]
     rivals = [Rival(best.cause.id, best.cause.joint, cost, best) for cost, best in elsewhere if cost < WITHIN]
-    tested = {(score.cause.id, score.cause.joint) for score in finding.scores}
-    untested = [other for other in dict.fromkeys([*cause.alike, *untestable]) if (other, cause.joint) not in tested]
-    rivals += [Rival(other, cause.joint, 0.0, None, untestable.get(other, "")) for other in untested]
+    untested = _untested(finding, untestable)
+    rivals += [Rival(other.id, other.joint, 0.0, None, untestable.get(other.id, "")) for other in untested]
     against = TEMPERED * finding.unnamed
     if against < WITHIN:
         rivals.append(Rival(UNEXPLAINED, 0, against, None))
@@ -124,6 +123,14 @@ def verdict(finding: Detection[H], untestable: Mapping[str, str] = MappingProxyT
     probability = 1 / (1 + float(np.exp(others).sum()))
     ordered = tuple(sorted(rivals, key=lambda rival: rival.cost))
     return Verdict(finding, "one_of" if ordered else "named", probability, ordered)
+
+
+def _untested(finding: Detection, untestable: Collection[str]) -> list[Untested]:
+    """Return the causes that may be the one found, but could not be tested: alike by nature, or for want of data (ids)."""
+    cause = finding.cause
+    tested = {(score.cause.id, score.cause.joint) for score in finding.scores}
+    others = dict.fromkeys([*cause.alike, *untestable])
+    return [Untested(other, cause.joint, cause.part) for other in others if (other, cause.joint) not in tested]
 
 
 def _log_odds_of_nothing(finding: Detection) -> float:
@@ -167,9 +174,9 @@ def fitted_alternatives(
             (_probability(verdict, rival), None, rival.cause) for rival in verdict.rivals if rival.cause is not None
         ]
     asked += [
-        (probability, None, model.causes[-1])
+        (probability, None, came)
         for model, probability in zip(in_reach, probabilities(in_reach).tolist(), strict=True)
-        if model.change == "besides" and probability > UNSURE
+        if model.change == "besides" and probability > UNSURE and isinstance(came := model.causes[-1], Cause)
     ]
     likeliest = sorted((other for other in asked if other[0] >= NEGLIGIBLE), key=lambda other: -other[0])[:MOST_FITTED]
     alternatives = []
@@ -205,6 +212,22 @@ def _probability(verdict: Verdict, rival: Rival) -> float:
     return float(verdict.probability * np.exp(-cost / 2))
 
 
+@dataclass(frozen=True)
+class Untested:
+    """A cause that the data could not test, where one was found that it cannot be told from: id, joint (0 for none) and part."""
+
+    id: str
+    joint: int
+    part: str
+
+    detail = "not tested"
+
+    @property
+    def place(self) -> Place:
+        """Effect id and part, as of a cause."""
+        return self.id, self.part
+
+
 Change = Literal["found", "without", "instead", "besides", "several"]
 
 
@@ -216,7 +239,7 @@ class ModelInReach:
     the model found.
     """
 
-    causes: tuple[Cause, ...]
+    causes: tuple[Cause | Untested, ...]
     change: Change
     log_prior: float
     log_weight: float
@@ -236,29 +259,30 @@ def models_in_reach(
 
     A priori each place that the data can show holds a cause with odds of one to the number of such places, shared evenly by its
     forms: one cause is expected of the whole catalogue, however large. Places are independent of each other. Causes of very many
-    parameters stay as they are in all models.
+    parameters do not come besides.
     """
-    small = [finding for finding in findings if _is_small(finding.cause)]
-    if not small:
+    if not findings:
         return ()
     places = float(np.log(len(rivals_shown(findings, beside))))
 
-    def log_prior(causes: Sequence[Cause]) -> float:
+    def log_prior(causes: Sequence[Cause | Untested]) -> float:
         return -sum(places + float(np.log(catalogue.variants.get(cause.place, 1))) for cause in causes)
 
     models = [ModelInReach(final.causes, "found", log_prior(final.causes), 0.0)]
     # The prior of a form is in the evidence already, that of a place is not.
     besides = [
-        _Choice("besides", None, score.cause, -score.cost / 2 - places) for score in beside if _is_small(score.cause)
+        _Choice("besides", None, score.cause, -score.cost / 2 - places)
+        for score in beside
+        if score.cause.n_parameters <= MANY
     ]
-    for choices in (*map(_in_its_place, small), besides):
+    for choices in (*(_in_its_place(finding, catalogue) for finding in findings), besides):
         near = [(model, one) for model in models for one in choices if model.log_weight + one.log_weight > -REACH]
         models += [changed for changed in starmap(_changed, near) if _differ(changed.causes)]
         models = [models[0], *sorted(models[1:], key=lambda model: -model.log_weight)[: MOST_IN_REACH - 1]]
     if suspected:
         used = models[0]
         for finding in suspected:
-            used = replace(_changed(used, _in_its_place(finding)[-1]), change="without")
+            used = replace(_changed(used, _in_its_place(finding, catalogue)[-1]), change="without")
         models = [used, *(model for model in models if set(model.causes) != set(used.causes))]
     return tuple(replace(model, log_prior=log_prior(model.causes)) for model in models)
 
@@ -275,19 +299,21 @@ class _Choice:
 
     change: Change
     goes: Cause | None
-    comes: Cause | None
+    comes: Cause | Untested | None
     log_weight: float
 
 
-def _in_its_place(finding: Detection[Cause]) -> list[_Choice]:
-    """Return the alternatives in a finding's place: a rival, another form, or none; relative to the form that was found."""
+def _in_its_place(finding: Detection[Cause], catalogue: Catalogue) -> list[_Choice]:
+    """Return the alternatives in a finding's place, relative to the form that was found: a rival, tested or not, another form, or
+    none."""
     cause, cost = finding.cause, finding.own.cost
     forms = (cost - finding.cost) / 2
     others = [
         _Choice("instead", cause, score.cause, (cost - score.cost) / 2)
         for score in finding.scores
-        if score.cause != cause and _is_small(score.cause)
+        if score.cause != cause
     ]
+    others += [_Choice("instead", cause, other, forms) for other in _untested(finding, catalogue.untestable(cause.id))]
     return [*others, _Choice("without", cause, None, forms + _log_odds_of_nothing(finding))]
 
 
@@ -299,13 +325,12 @@ def _changed(model: ModelInReach, choice: _Choice) -> ModelInReach:
     return ModelInReach(causes, change, 0.0, model.log_weight + choice.log_weight)
 
 
-def _differ(causes: Sequence[Cause]) -> bool:
+def _differ(causes: Sequence[Cause | Untested]) -> bool:
     """Whether no two causes are forms of the same cause."""
-    return not any(cause.place == other.place and cause.same_form(other) for cause, other in combinations(causes, 2))
-
-
-def _is_small(cause: Cause) -> bool:
-    return cause.n_parameters <= MANY
+    untested = [cause for cause in causes if isinstance(cause, Untested)]
+    tested = [cause for cause in causes if isinstance(cause, Cause)]
+    twice = any(cause.place == other.place and cause.same_form(other) for cause, other in combinations(tested, 2))
+    return not twice and len(set(untested)) == len(untested)
 
 
 def probabilities(models: Sequence[ModelInReach]) -> np.ndarray:
