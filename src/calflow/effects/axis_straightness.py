@@ -119,21 +119,22 @@ class AxisStraightness(Effect):
         for i, amplitudes in zip(self._rails, self._split(p), strict=True):
             curve = ca.vertcat(*(wave.value for wave in self._curve(state.q[i], i)))
             off = ca.reshape(amplitudes, 6 if self.turning else 3, curve.numel()) @ curve
-            bearing[: off.numel(), i] = self._about_carriage(off, i, state)
+            bearing[: off.numel(), i] = about_carriage(self.robot, i, off, state)
         return replace(still, bearing=bearing)
 
     def _split(self, p: ca.SX) -> Iterator[ca.SX]:
         return iter(ca.vertsplit(p, p.numel() // len(self._rails)) if self._rails else ())
 
-    def _about_carriage(self, off: ca.SX, joint: int, state: State) -> ca.SX:
-        """Return the twist, referred to the rail's origin, of a displacement with a rotation about the carriage."""
-        slide = self.robot.frames[joint].slide
-        if not self.turning or slide is None:
-            return off
-        carriage = ca.vertcat(0, 0, state.q[joint] + slide.value)
-        return ca.vertcat(off[:3] - ca.cross(off[3:], carriage), off[3:])
-
     variable = joint_variable
+
+
+def about_carriage(robot: Robot, joint: int, off: ca.SX, state: State) -> ca.SX:
+    """Return the twist, referred to the rail's origin, of a carriage's shift (3,), or of it and a turn about the carriage (6,)."""
+    slide = robot.frames[joint].slide
+    if off.numel() == 3 or slide is None:
+        return off
+    carriage = ca.vertcat(0, 0, state.q[joint] + slide.value)
+    return ca.vertcat(off[:3] - ca.cross(off[3:], carriage), off[3:])
 
 
 def _dense(robot: Robot, data: Measurements, length: float) -> np.ndarray:

@@ -16,6 +16,7 @@ import casadi as ca
 import numpy as np
 import scipy
 
+from calflow.effects.axis_straightness import AxisStraightness, about_carriage
 from calflow.effects.base import OF_THE_FRAME, Effect, JointError, Term, effect_class
 from calflow.effects.cause import Cause
 from calflow.effects.smooth_curve import Travel
@@ -27,7 +28,7 @@ from calflow.estimation.smooth_functions import SIZE, InTime, SmoothFunction, Wa
 from calflow.estimation.variance_components import SIZES, TEMPERED
 from calflow.files.tables import column
 from calflow.measurements.measurements import Measurements
-from calflow.robot.mechanism import Dimensions, Row, State
+from calflow.robot.mechanism import Deflection, Dimensions, Row, State
 
 CANDIDATE_SIZES = np.geomspace(SIZES.min(), SIZES.max(), 65)  # over the usual one
 MIN_REDUCTION = 1e-12  # least relative reduction of a variance by the data
@@ -109,16 +110,61 @@ class BeyondTravel(JointError, SmoothFunction):
         return (f"q{self.joint + 1}",)
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
-        """Return waves that reach full size a twentieth of the travel beyond its ends, where a measured curve fades."""
+        """Return its waves."""
         if joint != self.joint:
             return []
-        q, size = state.q[joint], self.size_beyond / BEYOND_WAVES**0.5
-        beyond = ca.fmax(self.low - q, 0) + ca.fmax(q - self.high, 0)
-        value = ca.fmin(beyond / (FADE * (self.high - self.low)), 1)
-        rates = scipy.stats.t(5).ppf((1 + np.arange(0.5, BEYOND_WAVES) / BEYOND_WAVES) / 2) / self.length
-        angle = ca.DM(rates) * q
-        waves = ca.vertsplit(value * ca.vertcat(ca.cos(angle), ca.sin(angle)))
-        return [Term(f"wave{k + 1}", self.unit(joint), size, 1.0, wave) for k, wave in enumerate(waves)]
+        size, waves = (
+            self.size_beyond / BEYOND_WAVES**0.5,
+            _waves_beyond(state.q[joint], self.low, self.high, self.length),
+        )
+        return [Term(f"wave{k + 1}", self.unit(joint), size, 1.0, wave) for k, wave in enumerate(ca.vertsplit(waves))]
+
+
+@dataclass(frozen=True)
+class BeyondRail(SmoothFunction):
+    """A carriage's error beyond the measured travel of its rail, low to high [m], as independent curves along and about three axes.
+
+    length [m] is their correlation length, shift [m] and turn [rad] their standard deviations per axis.
+    """
+
+    joint: int = 0
+    low: float = 0.0
+    high: float = 0.0
+    length: float = 1.0
+    shift: float = SIZE
+    turn: float = 0.0
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """The joint."""
+        return (f"q{self.joint + 1}",)
+
+    @property
+    def spectrum(self) -> np.ndarray:
+        """The sizes of shifts, then of turns, over an amplitude's usual one."""
+        sizes = [self.shift, *([self.turn] if self.turn else [])]
+        return np.repeat(sizes, 6 * BEYOND_WAVES) / (SIZE * BEYOND_WAVES**0.5)
+
+    @property
+    def units(self) -> Sequence[str]:
+        """Units of shifts, then of turns."""
+        return ["m"] * (6 * BEYOND_WAVES) + (["rad"] * (6 * BEYOND_WAVES) if self.turn else [])
+
+    def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
+        """Return the deflection with the carriage displaced."""
+        waves = _waves_beyond(state.q[self.joint], self.low, self.high, self.length)
+        bearing = ca.SX(still.bearing)
+        off = ca.reshape(p, waves.numel(), p.numel() // waves.numel()).T @ waves
+        bearing[: off.numel(), self.joint] = about_carriage(self.robot, self.joint, off, state)
+        return replace(still, bearing=bearing)
+
+
+def _waves_beyond(q: ca.SX, low: float, high: float, length: float) -> ca.SX:
+    """Return waves (n,) that reach full size a twentieth of the travel beyond its ends, where a measured curve fades."""
+    beyond = ca.fmax(low - q, 0) + ca.fmax(q - high, 0)
+    rates = scipy.stats.t(5).ppf((1 + np.arange(0.5, BEYOND_WAVES) / BEYOND_WAVES) / 2) / length
+    angle = ca.DM(rates) * q
+    return ca.fmin(beyond / (FADE * (high - low)), 1) * ca.vertcat(ca.cos(angle), ca.sin(angle))
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,19 +188,8 @@ class Curve:
 
     @cached_property
     def weight(self) -> np.ndarray:
-        """Posterior probability of each of CANDIDATE_SIZES, (n_sizes,).
-
-        The sum of squares of the shrunken estimates is approximately a scaled chi-squared variable (Satterthwaite 1946); the prior
-        of sizes is that of causes.
-        """
-        usual, variance = self.usual**2, np.diag(self.covariance)
-        told = np.maximum(usual - variance, MIN_REDUCTION * usual)
-        expected = told / usual * (CANDIDATE_SIZES[:, None] ** 2 * told + variance)
-        whole = expected.sum(axis=1)
-        freedom = whole**2 / (expected**2).sum(axis=1)
-        logs = scipy.stats.chi2.logpdf(self.estimate @ self.estimate * freedom / whole, freedom)
-        logs += np.log(freedom / whole) - np.log(np.maximum(CANDIDATE_SIZES, 1.0))
-        return np.asarray(scipy.special.softmax(logs))
+        """Posterior probability of each of CANDIDATE_SIZES, (n_sizes,)."""
+        return _size_weights(self.estimate, np.diag(self.covariance), self.usual)
 
     @property
     def rms_elsewhere(self) -> float:
@@ -177,6 +212,21 @@ class Curve:
         spread = 4 * (along**2 * variance).sum(axis=1) + 2 * (variance @ products**2 * variance).sum(axis=1)
         average = float(self.weight @ square)
         return average**0.5, float(self.weight @ (spread + (square - average) ** 2) / average) ** 0.5 / 2
+
+
+def _size_weights(estimate: np.ndarray, variance: np.ndarray, usual: np.ndarray) -> np.ndarray:
+    """Return the posterior probability of each of CANDIDATE_SIZES of amplitudes, (n_sizes,).
+
+    The sum of squares of the shrunken estimates is approximately a scaled chi-squared variable (Satterthwaite 1946); the prior of
+    sizes is that of causes.
+    """
+    told = np.maximum(usual**2 - variance, MIN_REDUCTION * usual**2)
+    expected = told / usual**2 * (CANDIDATE_SIZES[:, None] ** 2 * told + variance)
+    whole = expected.sum(axis=1)
+    freedom = whole**2 / (expected**2).sum(axis=1)
+    logs = scipy.stats.chi2.logpdf(estimate @ estimate * freedom / whole, freedom)
+    logs += np.log(freedom / whole) - np.log(np.maximum(CANDIDATE_SIZES, 1.0))
+    return np.asarray(scipy.special.softmax(logs))
 
 
 def beyond_measured(errors: ErrorModel, sizes: SmoothVariances, variance: np.ndarray) -> ErrorModel:
@@ -231,14 +281,32 @@ def _beyond_causes(result: Fit, data: Measurements) -> Iterator[SmoothFunction]:
     """Yield the continuations of causes: of curves past their travel, and of warm-ups past the end."""
     model = result.model
     for cause in model.causes:
-        own, warming = model.columns(cause), cause.effect
+        own, effect = model.columns(cause), cause.effect
         if curve := Curve.of(cause, result.estimate[own], result.covariance[np.ix_(own, own)]):
             at = curve.travel
             yield BeyondTravel(data.robot, cause.joint - 1, at.low, at.high, at.length, curve.rms_elsewhere)
-        if isinstance(warming, Warming) and warming.constant and not warming.of_measuring():
+        if isinstance(effect, AxisStraightness):
+            yield _beyond_rail(cause, effect, result)
+        if isinstance(effect, Warming) and effect.constant and not effect.of_measuring():
             growth, end = float(model.values(cause, result.estimate)[0]), float(data.table["time"].max())
-            once = replace(warming, pauses=()).figures_text
+            once = replace(effect, pauses=()).figures_text
             yield Cooling(data.robot, cause.id, once, cause.part, growth, end)
+
+
+def _beyond_rail(cause: Cause, rail: AxisStraightness, result: Fit) -> BeyondRail:
+    """Return the continuation of a rail's curves past their travel, as large as these."""
+    own, units = result.model.columns(cause), np.array([parameter.unit for parameter in cause.declared])
+    estimate, variance = result.estimate[own], np.diag(result.covariance)[own]
+    usual = np.array([parameter.prior_sd for parameter in cause.declared])
+
+    def over_usual(unit: str) -> float:
+        weight = _size_weights(estimate[units == unit], variance[units == unit], usual[units == unit])
+        return float(np.sqrt(weight @ CANDIDATE_SIZES**2))
+
+    joint = cause.joint - 1
+    low, high = rail.low[joint], rail.high[joint]
+    shift, turn = rail.shift * over_usual("m"), rail.turn * over_usual("rad") if rail.turning else 0.0
+    return BeyondRail(rail.robot, joint, low, high, rail.length * (high - low), shift, turn)
 
 
 def _wandered(sizes: SmoothVariances, causes: Sequence[Effect]) -> dict[str, float]:
