@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 import calflow as cf
 import robots
 from calflow.deployment.figures_alone import FIGURES, LEVELS
+from calflow.deployment.run_outcome import RunOutcome
 from calflow.design.candidates import candidates
 from calflow.estimation.calibrated_model import Alternative, CalibratedModel
 from calflow.files.tables import Results
@@ -182,6 +183,26 @@ def test_a_diagnosis_is_loaded_with_all_it_found(tmp_path):
     assert_same(loaded.identified, calibration)
     again = loaded.diagnose(catalogue=wanted)
     assert again.results.tables["diagnose/findings.csv"].equals(found.results.tables["diagnose/findings.csv"])
+
+
+def test_the_noise_of_a_session_is_loaded_as_it_was_saved(tmp_path):
+    """Fails if a session's noise is lost with the files, or nobody is told that what was stated is wrong."""
+    case = Case(robots.industrial(), ("geometry",))
+    data = case.measured(1)
+    noisy = np.arange(len(data)) % 3 == 0
+    rng = np.random.default_rng(5)
+    more = {name: data.table[name] + noisy * 3e-4 * rng.standard_normal(len(data)) for name in "xyz"}
+    days = {"session": np.where(noisy, "wed", "mon"), "sigma": 3e-5}
+    data = replace(data, table=data.table.assign(**more, **days))
+    calibration = cf.identify(case.robot, data, case.effects, starts=1)
+    found = calibration.diagnose(catalogue=["joint-backlash", "joint-eccentricity"])
+    loaded = assert_loaded(found, tmp_path / "diagnosed")
+    (device,) = loaded.device
+    assert 6 < device.by_session["wed"] < 16
+    assert "mon" not in device.by_session
+    np.testing.assert_array_equal(loaded.noise(data).sigma, np.where(noisy, device.by_session["wed"], 1.0) * 3e-5)
+    (doubt,) = RunOutcome(loaded.results).noise_doubts
+    assert doubt.session == "wed"
 
 
 def test_a_run_of_a_version_without_levels_of_effort_says_so(finished):

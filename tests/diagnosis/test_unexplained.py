@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calflow.diagnosis.fitted import Fitted
-from calflow.diagnosis.noise_growth import growth_of_residuals
+from calflow.diagnosis.noise_model import noise_of_residuals
 from calflow.diagnosis.screening import Catalogue, by_place
 from calflow.diagnosis.trial import Linearisation
 from calflow.diagnosis.unexplained import SUSPECTED, UnexplainedStructure, suspected, unexplained
@@ -105,12 +105,12 @@ def test_what_goes_with_the_payload_is_told():
 
 def test_noise_that_grows_with_range_is_measured():
     """Breaks if the growth is missed, misjudged, or seen where the noise is even."""
-    seen = growth_of_residuals(fitted(sigma=lambda r: 1.5e-5 + 2e-5 * r, poses=300))
+    seen = noise_of_residuals(fitted(sigma=lambda r: 1.5e-5 + 2e-5 * r, poses=300))
     assert seen is not None
     assert seen.p < 0.001
     assert abs(seen.slope - 2e-5) < 4 * seen.sd
     assert seen.floor < 4e-5
-    even = growth_of_residuals(fitted())
+    even = noise_of_residuals(fitted())
     assert even is None or even.p > 0.001
 
 

@@ -15,6 +15,7 @@ from calflow.diagnosis.findings import Finding
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.certainty import Certainty
 from calflow.estimation.identifiability import Correlation, Counted, Redundant, Statement
+from calflow.estimation.lack_of_fit import NoiseDoubt
 from calflow.estimation.leverage import JudgedResidual
 from calflow.estimation.model_tables import FitSummary, IdentifySummary, Placed
 from calflow.estimation.parameters import FittedParameter
@@ -160,6 +161,11 @@ class RunOutcome:
         if len(inputs) > 3:
             return f"{', '.join(inputs[:2])} and {plural(len(inputs) - 2, 'other input')}"
         return listed(inputs) if inputs else ""
+
+    @property
+    def noise_doubts(self) -> tuple[NoiseDoubt, ...]:
+        """Stated noises that the measurements contradict, by identify and by diagnose."""
+        return tuple(dict.fromkeys((*self.summary.noise_doubts, *self.fit_summary.noise_doubts)))
 
     @property
     def lack_of_fit_words(self) -> str:

@@ -134,7 +134,7 @@ def mistake_unsettled(outcome: RunOutcome) -> list[Advice]:
 
 def noise_contradicted(outcome: RunOutcome) -> Iterator[Advice]:
     """A stated noise that the measurements contradict; a fit that relied on it may be useless."""
-    for doubt in outcome.summary.noise_doubts:
+    for doubt in outcome.noise_doubts:
         yield Advice(1 if doubt.useless else 2, f"{'Do not use this result. ' * doubt.useless}{doubt.words}")
 
 

@@ -11,7 +11,7 @@ import scipy
 from calflow.diagnosis.diagnosis import Diagnosis
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.form_error import variable_values
-from calflow.diagnosis.noise_growth import RANGE, Growth
+from calflow.diagnosis.noise_model import RANGE, Growth
 from calflow.diagnosis.regressors import candidates_of
 from calflow.diagnosis.screening import Score, by_place, f_threshold, place_probabilities
 from calflow.diagnosis.trial import Screened

@@ -17,7 +17,7 @@ from calflow.diagnosis.background import BackgroundBasis
 from calflow.diagnosis.extension import Extended, extend, weighed, weighed_against
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.misfit import Misfit, MisfitRegion, misfit
-from calflow.diagnosis.noise_growth import Growth, growth_of_repeats, growth_of_residuals
+from calflow.diagnosis.noise_model import Growth, Levels, noise_of_repeats, noise_of_residuals
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.stepwise import SHARES, CauseAcceptance, Stepwise, words
 from calflow.diagnosis.trial import Linearisation
@@ -43,7 +43,6 @@ from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
 from calflow.files.deferred import pd
 from calflow.files.tables import column, to_frame
 from calflow.files.units import METRE
-from calflow.files.words import rounded
 from calflow.measurements.measurements import Measurements
 
 BEGUN, SEARCHED = 0.1, 0.7  # share of the work before and after the search
@@ -53,8 +52,8 @@ BEGUN, SEARCHED = 0.1, 0.7  # share of the work before and after the search
 class Diagnosis:
     """The result of a search: the initial model, its extension, the model to be used with the verdicts, and the remaining misfit.
 
-    left: errors of the extended model that no cause explains; growth: growth of the noise with range; catalogue: the effects that
-    were tested; false_alarm: false-alarm rate of the causes; misfit: the extended model's lack of fit where significant; capped:
+    left: errors of the extended model that no cause explains; noise: noise otherwise than stated; catalogue: the effects that were
+    tested; false_alarm: false-alarm rate of the causes; misfit: the extended model's lack of fit where significant; capped:
     whether as many causes were found as were allowed; alternatives: models with rivals in the causes' places; in_reach: models one
     step from the extended one, by probability.
     """
@@ -63,13 +62,23 @@ class Diagnosis:
     extended: Extended
     deployed: DeployedCauses
     left: tuple[UnexplainedStructure, ...]
-    growth: Growth | None
+    noise: Growth | Levels | None
     catalogue: Catalogue
     false_alarm: float
     misfit: Misfit | None = None
     capped: bool = False
     alternatives: tuple[Alternative, ...] = ()
     in_reach: tuple[ModelInReach, ...] = ()
+
+    @property
+    def growth(self) -> Growth | None:
+        """The noise's growth with range."""
+        return self.noise if isinstance(self.noise, Growth) else None
+
+    @property
+    def levels(self) -> Levels | None:
+        """The noise of set-ups that are noisier than others."""
+        return self.noise if isinstance(self.noise, Levels) else None
 
     @property
     def final(self) -> Fitted | None:
@@ -145,14 +154,14 @@ def extended_model(diagnosis: Diagnosis, calibrated: CalibratedModel, data: Meas
     identified = CalibratedModel(**kept | {"alternatives": diagnosis.alternatives, "field": None})
     if (final := diagnosis.final) is None:
         return identified
-    grown = diagnosis.growth
+    devices = series_noise(_noise(diagnosis, final, calibrated, data))
     return replace(
         identified,
         model=final.model,
         estimate=final.fit.estimate,
         covariance=final.covariance,
         at_bound=final.fit.at_bound,
-        device=series_noise(_noise(final, calibrated, data), (grown.floor, grown.slope) if grown else None),
+        device=diagnosis.noise.devices(devices, data) if diagnosis.noise else devices,
         discrepancy=final.noise.discrepancy,
         loss=final.fit.loss,
         errors=final.errors,
@@ -192,15 +201,17 @@ def diagnosis_summary(diagnosis: Diagnosis, calibrated: CalibratedModel) -> Diag
         tests=diagnosis.extended.first.family.places,
         worst=diagnosis.misfit.region if diagnosis.misfit else None,
         capped=diagnosis.capped,
+        noise_doubts=tuple(diagnosis.levels.doubts(first.data, first.device)) if diagnosis.levels else (),
     )
 
 
-def _noise(final: Fitted, calibrated: CalibratedModel, data: Measurements) -> Noise:
+def _noise(diagnosis: Diagnosis, final: Fitted, calibrated: CalibratedModel, data: Measurements) -> Noise:
     noise = calibrated.noise(data)
-    sigma = noise.sigma.copy()
+    sigma, fitted = noise.sigma.copy(), final.noise.sigma
+    alike = fitted / diagnosis.levels.factor(final.data) if diagnosis.levels else fitted
     for k, source in enumerate(noise.sources):
         if source == "estimated":
-            sigma[noise.of_series(k)] = np.median(final.noise.sigma[final.noise.of_series(k)])
+            sigma[noise.of_series(k)] = np.median(alike[final.noise.of_series(k)])
     return replace(noise, sigma=sigma)
 
 
@@ -237,8 +248,9 @@ def search_causes(
     train, noise = averaged(train, replace(calibrated.noise(train), scatter=scattered))
     start = Fitted.of(calibrated, train, noise)
     alarm = SHARES["noise"] * false_alarm
-    if grown := growth_of_repeats(start, alarm):
-        start = start.weighed(grown.sigma(train, start.device))
+    if (other := noise_of_repeats(start)) and other.p >= alarm:
+        other = None
+    start = start.weighed(other.sigma(train, start.device)) if other else start
     have = [effect.id for effect in calibrated.model.effects]
     wanted = Catalogue.of(train, have, catalogue, leave_out)
     advance(BEGUN)
@@ -250,15 +262,15 @@ def search_causes(
     extended = weighed(start, searched, basis, wanted, Stepwise(acceptance, rng("background"), say, nobody))
     advance(SEARCHED)
     standstills = Standstills.of(extended.fitted, basis)
-    growth = None if grown else growth_of_residuals(extended.fitted)
+    shown = None if other else noise_of_residuals(extended.fitted)
     # Errors of joints that do not repeat also grow with range: they must be significant beside such noise, and it without them.
-    if growth and (growth.p < alarm or len(standstills.joints)):
-        noisier = replace(extended, fitted=extended.fitted.weighed(growth.sigma(train, start.device)))
+    if shown and (shown.p < alarm or len(standstills.joints)):
+        noisier = replace(extended, fitted=extended.fitted.weighed(shown.sigma(train, start.device)))
         standstills = Standstills.of(noisier.fitted, basis)
-        if growth.p < alarm and not len(standstills.joints):
-            extended, grown = noisier, growth.levelled(noisier.fitted)
-    if grown:
-        say(f"the noise grows with range: {rounded(1e6 * grown.slope)} µm/m, p = {grown.p:.2g}")
+        if shown.p < alarm and not len(standstills.joints):
+            extended, other = noisier, shown.levelled(noisier.fitted)
+    if other:
+        say(f"{other.words}, p = {other.p:.2g}")
     significance = SHARES["unexplained"] * false_alarm
     at_rest = [standstills.unexplained(k) for k in standstills.joints]
     left = unexplained(extended.fitted, significance, rng("decoys"), say, at_rest, standstills.background)
@@ -271,7 +283,7 @@ def search_causes(
     judged = [verdict(finding, every.untestable(finding.cause.id)) for finding in extended.findings]
     # The search takes markers of a standstill as independent. Where it found nothing identify's fit is better, unless outliers were
     # down-weighted.
-    otherwise = judged or grown or (extended.fitted.outlier_factor > 1).any()
+    otherwise = judged or other or (extended.fitted.outlier_factor > 1).any()
     kept = deployed_causes(extended, judged, misses) if otherwise else DeployedCauses(None, ())
     for suspect in kept.suspected:
         say(f"{words(suspect.finding.cause)} remains a suspicion: it does not help at poses left out")
@@ -280,7 +292,7 @@ def search_causes(
     in_reach = models_in_reach(
         extended.fitted, extended.findings, beside, every, [suspect.finding for suspect in kept.suspected]
     )
-    return Diagnosis(start, extended, kept, suspected(left, beside), grown, wanted, acceptance.false_alarm,
+    return Diagnosis(start, extended, kept, suspected(left, beside), other, wanted, acceptance.false_alarm,
                      misfit(extended.fitted, rng("misfit")), capped=len(ordered) >= causes,
                      alternatives=fitted_alternatives(kept.deployed, extended.fitted, kept.suspected, in_reach),
                      in_reach=in_reach)  # fmt: skip

@@ -15,7 +15,7 @@ import numpy as np
 from calflow.diagnosis.diagnosis import Diagnosis
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.misfit import Misfit
-from calflow.diagnosis.noise_growth import RANGE, Growth
+from calflow.diagnosis.noise_model import RANGE, Growth
 from calflow.diagnosis.unexplained import POSE, UnexplainedStructure, is_any_error_along, predicted
 from calflow.diagnosis.verdict import CERTAIN, SIZE, Amplitude, Rival, Verdict, found_amplitude, named
 from calflow.effects import catalogue

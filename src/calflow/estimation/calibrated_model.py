@@ -6,8 +6,8 @@ the few others can be evaluated in full; Madigan and Raftery 1994). Predictive v
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Self
 
@@ -78,13 +78,15 @@ def points_at(conditions: np.ndarray) -> Quantity:
 class SeriesNoise:
     """The noise of a series: sigma of a single row (at zero range), its source, and its growth with range [m/m].
 
-    typical is its root mean square over the measured rows. Both are in the series' leading unit.
+    typical is its root mean square over the measured rows. Both are in the series' leading unit. by_session: factors of the noise
+    in sessions in which it is another.
     """
 
     sigma: float
     source: Source
     typical: float
     growth: float = 0.0
+    by_session: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,6 +162,8 @@ class CalibratedModel:
                 sigma[rows] = device.sigma + device.growth * data.table["range"].to_numpy()[rows]
             elif device.source != "file":
                 sigma[rows] = device.sigma
+            for session, factor in device.by_session.items():
+                sigma[rows & (data.session == session)] *= factor
             sigma[rows & np.isnan(sigma)] = device.typical
         return replace(
             stated, sigma=sigma, sources=tuple(device.source for device in self.device), discrepancy=self.discrepancy,
@@ -356,14 +360,10 @@ class CalibratedModel:
         return np.concatenate(gained)
 
 
-def series_noise(noise: Noise, growth: tuple[float, float] | None = None) -> tuple[SeriesNoise, ...]:
-    """Return the noise of each series; growth is its floor [m] and slope [m/m]."""
-    devices = []
-    for k, source in enumerate(noise.sources):
-        typical = float(np.sqrt(np.mean(noise.sigma[noise.of_series(k)] ** 2)))
-        sigma, slope = growth or (typical, 0.0)
-        devices.append(SeriesNoise(sigma, source, typical, slope))
-    return tuple(devices)
+def series_noise(noise: Noise) -> tuple[SeriesNoise, ...]:
+    """Return the noise of each series, as far as it is the same for all its rows."""
+    typical = [float(np.sqrt(np.mean(noise.sigma[noise.of_series(k)] ** 2))) for k in range(len(noise.sources))]
+    return tuple(SeriesNoise(size, source, size) for size, source in zip(typical, noise.sources, strict=True))
 
 
 def _some(conditions: np.ndarray) -> list[np.ndarray]:

@@ -143,6 +143,7 @@ class NoiseDoubt:
     """A stated noise that the measurements contradict."""
 
     series: str = column("name of the series; empty: the only one")
+    session: str = column("the session in which it is wrong; empty: in all", default="")
     stated_mm: float | None = column("the noise per axis stated by file or study; null: `unit` is another", "mm")
     shown_mm: float | None = column(
         "the noise per axis by the scatter of repeats, or by the fit's residuals, its upper limit", "mm"
@@ -167,18 +168,23 @@ class NoiseDoubt:
     @property
     def statement(self) -> str:
         """The contradiction in words."""
-        where = f" of {self.series}" if self.series else ""
+        where = (f" of {self.series}" if self.series else "") + (f" in session {self.session}" if self.session else "")
         way = "small" if self.shown > self.stated else "large"
         times = f"{self.times:,.0f}" if self.times >= 10 else f"{self.times:.2g}"
-        shown = "repeats of one pose scatter by" if self.shown_by == "repeats" else "the fit leaves only"
+        shown = (
+            "repeats of one pose scatter by"
+            if self.shown_by == "repeats"
+            else "the fit leaves" + " only" * (way == "large")
+        )
         return (f"The stated noise{where}, {rounded(self.stated)} {self.unit} per axis, is {times} times too {way}: {shown} "
                 f"{rounded(self.shown)} {self.unit}. Correct sigma.")  # fmt: skip
 
     @property
     def words(self) -> str:
         """The statement, and which noise the fit used."""
-        used = "The fit used it all the same." if self.believed else "The fit used the repeats' instead."
-        return f"{self.statement} {used}"
+        instead = "the repeats'" if self.shown_by == "repeats" else "the latter"
+        used = "it all the same" if self.believed else f"{instead} instead"
+        return f"{self.statement} The fit used {used}."
 
 
 def doubts_of_repeats(data: Measurements, error: np.ndarray, believed: tuple[bool, ...]) -> tuple[NoiseDoubt, ...]:
@@ -207,7 +213,7 @@ def doubts_of_repeats(data: Measurements, error: np.ndarray, believed: tuple[boo
         if p < DOUBTED and max(off, 1 / off) > WORTH_TELLING:
             level = float(np.sqrt(np.average(sigma**2, weights=freedom)))
             lacks.append(
-                _doubt(stated.leading[k], level, off, series=series.name, shown_by="repeats", believed=believed[k], p=p)
+                doubt(stated.leading[k], level, off, series=series.name, shown_by="repeats", believed=believed[k], p=p)
             )
     return tuple(lacks)
 
@@ -223,10 +229,10 @@ def doubts_of_residuals(noise: Noise, lack: LackOfFit, names: tuple[str, ...]) -
     if p >= DOUBTED or off * WORTH_TELLING > 1:
         return ()
     name, unit = names[0] if len(names) == 1 else "", judged_unit(noise.leading)
-    return (_doubt(unit, noise.typical(unit), off, series=name, shown_by="residuals", believed=True, p=p),)
+    return (doubt(unit, noise.typical(unit), off, series=name, shown_by="residuals", believed=True, p=p),)
 
 
-def _doubt(unit: MeasurementUnit, level: float, off: float, **more: Any) -> NoiseDoubt:
+def doubt(unit: MeasurementUnit, level: float, off: float, **more: Any) -> NoiseDoubt:
     """Return the doubt of a stated noise of the given level [unit], which is wrong by a factor."""
     stated, shown = unit.shown(level), unit.shown(level) * off
     lengths = (stated, shown) if unit == METRE else (None, None)

@@ -255,17 +255,20 @@ class LeastSquares:
         return tuple(dict.fromkeys(unit for block in self.blocks for unit in block.observation.units))
 
     def scatter(self, unit: MeasurementUnit = METRE) -> float:
-        """Return the median standard deviation about the model of the rows with residuals in a unit; 0 where there are none."""
-        return self._median(unit, lambda block: block.total)
+        """Return the standard deviation about the model of residuals in a unit, whose variance is a harmonic mean; 0 without any.
+
+        An error of one size in all rows has, whitened, a mean square of its square over that variance.
+        """
+        return self._harmonic(unit, lambda block: block.total)
 
     def device(self, unit: MeasurementUnit = METRE) -> float:
         """Return the device's part of it."""
-        return self._median(unit, lambda block: block.sigma)
+        return self._harmonic(unit, lambda block: block.sigma)
 
-    def _median(self, unit: MeasurementUnit, of: Callable[[SeriesBlock], np.ndarray]) -> float:
+    def _harmonic(self, unit: MeasurementUnit, of: Callable[[SeriesBlock], np.ndarray]) -> float:
         every = (of(block)[[other == unit for other in block.observation.units]] for block in self.blocks)
-        sizes = [np.sqrt((rows**2).mean(axis=0)) for rows in every if len(rows)]
-        return float(np.median(np.concatenate(sizes))) if sizes else 0.0
+        sizes = np.concatenate([np.zeros(0), *(rows.ravel() for rows in every)])
+        return float(np.mean(sizes**-2.0) ** -0.5) if len(sizes) else 0.0
 
     @property
     def scale(self) -> float:

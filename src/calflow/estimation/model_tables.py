@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import groupby
 from typing import Any
@@ -91,6 +91,14 @@ class DeviceNoise:
     unit: str = column("the unit that sigma and typical are in: mm, mrad, px, …", default=METRE.label)
     sigma: float = column("as sigma_mm, in `unit`")
     typical: float = column("as typical_mm, in `unit`")
+    factor: float = column("by which the rows that name no session are noisier than stated", default=1.0)
+    by_session: Mapping[str, float] = column("by which a session's rows are", name="factor {session}")
+
+    @property
+    def factors(self) -> Mapping[str, float]:
+        """Factors of the noise by session, where it is another."""
+        every = {"": self.factor} | {name.removeprefix("factor "): factor for name, factor in self.by_session.items()}
+        return {session: factor for session, factor in every.items() if factor != 1}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -168,6 +176,9 @@ class FitSummary:
     lack_of_fit_p: float | None = column("p-value of the lack of fit; null: the noise was estimated from the fit")
     solver: Solver = column("name, status, iterations")
     converged: bool = column("whether the solver reached its optimum")
+    noise_doubts: tuple[NoiseDoubt, ...] = column(
+        "stated noises that repeats or the fit contradict: series, session, sizes, p", default=()
+    )
 
     @property
     def noise_known(self) -> bool:
@@ -240,9 +251,6 @@ class IdentifySummary(FitSummary):
     extrapolation: tuple[Extrapolation, ...] = column(
         "joints held out beyond the fitted range: joint, rows", default=()
     )
-    noise_doubts: tuple[NoiseDoubt, ...] = column(
-        "stated noises that repeats or the fit contradict: series, sizes, p", default=()
-    )
     time_origin_s: float | None = column("clock reading from which times count; null: no times", "s", default=None)
     conditions: tuple[str, ...] = column(
         "the optional conditions that the measurements state: approach, travel, wrench, …", default=()
@@ -303,7 +311,7 @@ def observation_table(observed: Sequence[Observation]) -> pd.DataFrame:
 
 def noise_table(devices: Sequence[SeriesNoise], observed: Sequence[Observation]) -> pd.DataFrame:
     """Return the table of `DeviceNoise`."""
-    rows = []
+    rows, sessions = [], dict.fromkeys(session for device in devices for session in device.by_session if session)
     for device, observation in zip(devices, observed, strict=True):
         unit = observation.units[0]
         sigma, typical = unit.shown(device.sigma), unit.shown(device.typical)
@@ -311,7 +319,9 @@ def noise_table(devices: Sequence[SeriesNoise], observed: Sequence[Observation])
         rows.append(
             DeviceNoise(
                 series=observation.series.name, kind=observation.id, source=device.source, unit=unit.label, sigma=sigma,
-                typical=typical, growth_mm_per_m=1e3 * device.growth, **lengths,
+                typical=typical, growth_mm_per_m=1e3 * device.growth,
+                factor=device.by_session.get("", 1.0),
+                by_session={f"factor {session}": device.by_session.get(session, 1.0) for session in sessions}, **lengths,
             )
         )  # fmt: skip
     return to_frame(rows, DeviceNoise)
@@ -397,6 +407,7 @@ def read_error_model(stage: str, results: Results, observed: Sequence[Observatio
                 row.source,
                 row.typical / units[row.unit].scale,
                 row.growth_mm_per_m / 1e3,
+                row.factors,
             )
             for row in results.rows(f"{stage}/noise.csv", DeviceNoise)
         ),

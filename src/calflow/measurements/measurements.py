@@ -195,6 +195,13 @@ class Measurements:
         return rotations(self.table) if {"rx", "qw"} & set(self.table) else None
 
     @property
+    def session(self) -> np.ndarray:
+        """Name of each row's session, shape (n_rows,); empty where rows name none."""
+        return (
+            np.full(len(self), "") if "session" not in self.table else self.table["session"].astype(str).to_numpy(str)
+        )
+
+    @property
     def series_number(self) -> np.ndarray:
         """Index of each row's series, counted from 0, shape (n_rows,)."""
         return self.table["series"].to_numpy() if "series" in self.table else np.zeros(len(self), dtype=int)

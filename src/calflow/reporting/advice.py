@@ -152,7 +152,7 @@ def model_lacks(outcome: RunOutcome) -> Iterator[Advice]:
 
 def noise_doubtful(outcome: RunOutcome) -> Iterator[Advice]:
     """Residuals cannot be much smaller than the noise."""
-    if outcome.fit_summary.lack_of_fit < TOO_GOOD and not outcome.summary.noise_doubts:
+    if outcome.fit_summary.lack_of_fit < TOO_GOOD and not outcome.noise_doubts:
         sentence = (
             "The error left is much smaller than the stated noise: the measurements are better. Correct the stated noise, or "
             "measure repeats; the standard deviations given here are too large."

@@ -255,7 +255,7 @@ def headline(outcome: RunOutcome) -> str:
 
 def foremost(outcome: RunOutcome) -> list[str]:
     """Return sentences on a contradicted noise and on a lack of fit, which precede any cause."""
-    doubts = outcome.summary.noise_doubts
+    doubts = outcome.noise_doubts
     sentences = (*(doubt.statement for doubt in doubts), outcome.lack_of_fit_words)
     return [sentence for sentence in sentences if sentence]
 

@@ -1,0 +1,351 @@
+"""The noise model: tests for noise of the device that grows with range, or that is larger in some set-ups than in others.
+
+A set-up is one device in one session. The test is a regression of the cube roots of squared errors, which are nearly normal for
+normal noise (Wilson and Hilferty 1931), and of finite variance for heavy tails.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+import scipy
+
+from calflow.diagnosis.fitted import MOST_LEVERAGE, Fitted
+from calflow.estimation.calibrated_model import SeriesNoise
+from calflow.estimation.lack_of_fit import WORTH_TELLING, NoiseDoubt, doubt
+from calflow.estimation.noise import MIN_REPEATS, Noise
+from calflow.files.deferred import pd
+from calflow.files.units import METRE
+from calflow.files.words import rounded
+from calflow.measurements.measurements import Measurements
+
+RANGE = "range"  # the condition of a row with which noise may grow
+STILL = 0.02  # p-value required of residuals without their smooth part
+ROWS_A_REGRESSOR = 4  # rows required for each smooth function that is removed
+WIDE = 10.0  # search range of a log standard deviation about its starting value
+COMPARABLE = 0.5  # least share of a set-up's indicator that its poses do not predict
+PASSES = 3  # refits in which the noise of set-ups settles
+
+
+@dataclass(frozen=True)
+class Growth:
+    """Noise of floor + slope · range: floor [m], slope [m/m] with its standard deviation, and the p-value of slope > 0."""
+
+    floor: float
+    slope: float
+    sd: float
+    p: float
+
+    @property
+    def words(self) -> str:
+        """The growth in words."""
+        return f"the noise grows with range: {rounded(1e6 * self.slope)} µm/m"
+
+    def sigma(self, data: Measurements, device: Noise) -> np.ndarray:
+        """Return each row's standard deviation per axis [m]; rows without a range keep the device's."""
+        if RANGE not in data.given:
+            return device.sigma
+        distance = data.table[RANGE].to_numpy()
+        grown = (self.floor + self.slope * distance) / np.sqrt(data.repeats)
+        return np.where(np.isfinite(distance), grown, device.sigma)
+
+    def devices(self, devices: Sequence[SeriesNoise], data: Measurements) -> tuple[SeriesNoise, ...]:
+        """Return the noise of each series with the growth, where its rows have a range."""
+        ranged = np.isfinite(data.table[RANGE].to_numpy())
+        return tuple(
+            replace(each, sigma=self.floor, growth=self.slope) if ranged[data.of_series(k)].all() else each
+            for k, each in enumerate(devices)
+        )
+
+    def levelled(self, fitted: Fitted) -> Growth:
+        """Return the growth scaled to the residuals of a model fitted with it, whose smooth part is an error too."""
+        level = float(np.median(fitted.noise.sigma / fitted.outlier_factor / self.sigma(fitted.data, fitted.device)))
+        return replace(self, floor=level * self.floor, slope=level * self.slope, sd=level * self.sd)
+
+
+@dataclass(frozen=True)
+class Levels:
+    """Noise that is larger in some set-ups: factors of each series' noise by session, and the p-value of equal noise."""
+
+    factors: tuple[Mapping[str, float], ...]
+    p: float
+
+    @property
+    def words(self) -> str:
+        """The largest factor in words."""
+        largest = max(factor for each in self.factors for factor in each.values())
+        return f"the noise differs between devices or sessions: up to {rounded(largest)} times the stated one"
+
+    def factor(self, data: Measurements) -> np.ndarray:
+        """Return each row's factor (n_rows,)."""
+        of_row = zip(data.series_number, data.session, strict=True)
+        return np.array([self.factors[series].get(session, 1.0) for series, session in of_row])
+
+    def sigma(self, data: Measurements, device: Noise) -> np.ndarray:
+        """Return each row's standard deviation per axis [leading unit]."""
+        return device.sigma * self.factor(data)
+
+    def devices(self, devices: Sequence[SeriesNoise], data: Measurements) -> tuple[SeriesNoise, ...]:
+        """Return the noise of each series with these factors."""
+        factor = self.factor(data) ** 2
+        return tuple(
+            replace(
+                each,
+                by_session=self.factors[k],
+                typical=each.typical * float(np.sqrt(factor[data.of_series(k)].mean())),
+            )
+            for k, each in enumerate(devices)
+        )
+
+    def levelled(self, _: Fitted) -> Levels:
+        """Return the factors themselves: they are those of a model fitted with them."""
+        return self
+
+    def doubts(self, data: Measurements, stated: Noise) -> Iterator[NoiseDoubt]:
+        """Yield a doubt of each stated noise that is too small in a session."""
+        for k, series in enumerate(data.series):
+            if stated.sources[k] != "file":
+                continue
+            for session, factor in self.factors[k].items():
+                rows = data.of_series(k) & (data.session == session)
+                if factor > 1:
+                    level = float(np.sqrt(np.mean(stated.sigma[rows] ** 2 * data.repeats[rows])))
+                    yield doubt(stated.leading[k], level, factor, series=series.name, session=session,
+                                shown_by="residuals", believed=False, p=self.p)  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Sizes:
+    """Sizes of errors: squares (n,) [unit²] with degrees of freedom (n,), and the noise taken to be theirs (n,) [unit].
+
+    rows (n,): their rows; setup (n,): the numbers of their set-ups.
+    """
+
+    squared: np.ndarray
+    freedom: np.ndarray
+    noise: np.ndarray
+    rows: np.ndarray
+    setup: np.ndarray
+
+    def only(self, which: np.ndarray) -> Sizes:
+        """Return a subset."""
+        return Sizes(**{name: value[which] for name, value in vars(self).items()})
+
+    @property
+    def setups(self) -> np.ndarray:
+        """Indicators of the set-ups, (n, n_setups)."""
+        return np.asarray(np.unique(self.setup) == self.setup[:, None], dtype=float)
+
+    @property
+    def root(self) -> np.ndarray:
+        """Cube roots (n,) of the squares over the noise's variance, 1 on average for normal noise."""
+        return np.asarray(np.cbrt(self.squared / self.noise**2 / 2) / scipy.special.poch(self.freedom / 2, 1 / 3))
+
+    def regression(self, tested: np.ndarray, beside: np.ndarray) -> tuple[float, float]:
+        """Return the p-value of the roots' regression on tested (n, k) beside others (n, m), and its last coefficient."""
+        weight = np.sqrt(self.freedom)
+        every, root = np.column_stack([beside, tested]) * weight[:, None], weight * self.root
+        fewer, more = _basis(every[:, : beside.shape[1]]), _basis(every)
+        before, after = (float(root @ root - ((basis.T @ root) ** 2).sum()) for basis in (fewer, more))
+        spent, left = more.shape[1] - fewer.shape[1], len(root) - more.shape[1]
+        if spent < 1 or left < 1 or not after > 0:
+            return 1.0, 0.0
+        p = scipy.special.fdtrc(spent, left, (before - after) / spent * left / after)
+        return float(p), float(np.linalg.lstsq(every, root, rcond=None)[0][-1])
+
+
+def noise_of_repeats(fitted: Fitted) -> Growth | Levels | None:
+    """Return how the scatter of repeats, which is free of model errors, differs from the assumed noise; None without repeats."""
+    repeats = _of_repeats(fitted)
+    if repeats is None:
+        return None
+    alike = np.ones((len(repeats.rows), 1))
+    return _likelier(_growth(fitted.data, repeats, repeats), _levels(fitted, repeats, alike))
+
+
+def noise_of_residuals(fitted: Fitted) -> Growth | Levels | None:
+    """Return how the residuals of a model with its causes differ from the assumed noise; None with repeats.
+
+    It must be significant in, and is fitted to, residuals without their smooth part in joint readings and place, which is a misfit
+    that the noise must not absorb.
+    """
+    if _of_repeats(fitted):
+        return None
+    # Other rows have no range, or a stated noise that grows with it.
+    looking = np.array([observed.units[:3] == (METRE,) * 3 and observed.from_outside and not observed.series.beam
+                        for observed in fitted.model.observations])  # fmt: skip
+    left, rough = _of_residuals(fitted)
+    there = looking[fitted.data.series_number[left.rows]]
+    return _likelier(_growth(fitted.data, left.only(there), rough.only(there)), levels_of_residuals(fitted))
+
+
+def _likelier(growth: Growth | None, levels: Levels | None) -> Growth | Levels | None:
+    """Return the more significant of two, at a p-value for both."""
+    if growth and levels:
+        p = min(1.0, 2 * min(growth.p, levels.p))
+        return replace(growth, p=p) if growth.p < levels.p else replace(levels, p=p)
+    return growth or levels
+
+
+def levels_of_residuals(fitted: Fitted) -> Levels | None:
+    """Return the noise of set-ups by residuals without their smooth part, those of a model that is fitted with it.
+
+    Set-ups are compared beside smooth functions of joint readings and place: where they measured different poses, the larger errors
+    of one may be the model's.
+    """
+    found, seen = None, fitted
+    for _ in range(PASSES):
+        rough = _of_residuals(seen)[1]
+        now = _levels(fitted, rough, _smooth_functions(fitted, rough.rows))
+        if now is None:
+            break
+        found = replace(now, p=found.p if found else now.p)
+        if found.p > STILL:
+            break
+        seen = fitted.weighed(found.sigma(fitted.data, fitted.device))
+    return found
+
+
+def _growth(data: Measurements, tested: Sizes, fitted: Sizes) -> Growth | None:
+    """Return the growth with range of sizes, which is significant in those tested too; None without ranges.
+
+    Only growth within a set-up counts: of two devices the further one may be the noisier.
+    """
+    if RANGE not in data.given or not len(tested.rows):
+        return None
+    distance = data.table[RANGE].to_numpy()[tested.rows]
+    seen = np.isfinite(distance)
+    p = []
+    for sizes in (tested.only(seen), fitted.only(seen)):
+        both_ways, slope = sizes.regression(distance[seen, None], sizes.setups)
+        p.append(both_ways / 2 if slope > 0 else 1 - both_ways / 2)
+    return _fitted(fitted.only(seen), distance[seen], p[0] if p[1] < STILL else 1.0)
+
+
+def _levels(fitted: Fitted, sizes: Sizes, beside: np.ndarray) -> Levels | None:
+    """Return the noise of set-ups by the sizes of errors beside regressors (n, k); None where none is noisier than others.
+
+    A set-up that measured other poses than the others is not compared.
+
+    Of a stated noise a factor is at least 1, and what the quietest set-up leaves beyond it is no set-up's noise.
+    """
+    data, device, rows = fitted.data, fitted.device, sizes.rows
+    series = data.series_number[rows]
+    table = pd.DataFrame({
+        "unit": [device.leading[k].label for k in series], "known": [device.sources[k] == "file" for k in series],
+        "series": series, "session": data.session[rows], "root": sizes.root * sizes.freedom, "freedom": sizes.freedom,
+        "assumed": sizes.noise**2, "stated": (device.sigma**2 * data.repeats)[rows], "setup": sizes.setup,
+    })  # fmt: skip
+    table = table[_not_predicted(sizes.setups, beside) > COMPARABLE]
+    table = table[table.groupby("unit")["setup"].transform("nunique") > 1]
+    if not len(table):
+        return None
+    units = pd.get_dummies(table["unit"], dtype=float)
+    sizes, beside = sizes.only(table.index.to_numpy()), np.column_stack([beside[table.index], units])
+    p, _ = sizes.regression(sizes.setups, beside)
+    found = table.groupby(["unit", "known", "series", "session"]).agg(
+        {"root": "sum", "freedom": "sum", "assumed": "median", "stated": "mean"}
+    )
+    shown = (found["root"] / found["freedom"]) ** 3 * found["assumed"]
+    misfit = (shown - found["stated"]).groupby(["unit", "known"]).transform("min").clip(lower=0.0)
+    known = found.index.get_level_values("known").to_numpy(bool)
+    factor = ((shown - misfit * known) / found["stated"]) ** 0.5
+    factor = factor.where(~known | (factor > WORTH_TELLING), 1.0)
+    if factor.max() <= WORTH_TELLING * factor.min():
+        return None
+    factors: list[dict[str, float]] = [{} for _ in data.series]
+    for (_, _, k, session), times in factor[factor != 1.0].items():
+        factors[k][session] = times
+    return Levels(tuple(factors), p)
+
+
+def _not_predicted(setups: np.ndarray, beside: np.ndarray) -> np.ndarray:
+    """Return the share (n,) of the indicator of each row's set-up that regressors (n, k) do not predict, 1 if by chance alone."""
+    basis, apart = _basis(beside), setups - setups.mean(axis=0)
+    left = apart - basis @ (basis.T @ apart)
+    share = (left**2).sum(axis=0) / np.maximum((apart**2).sum(axis=0), 1e-300)
+    return np.asarray(setups @ share * (len(setups) - 1) / max(1, len(setups) - basis.shape[1]))
+
+
+def _of_repeats(fitted: Fitted) -> Sizes | None:
+    """Return the scatter of repeats beside the assumed noise; None where its degrees of freedom are too few."""
+    noise, data = fitted.device, fitted.data
+    if noise.scatter is None:
+        return None
+    beams = np.array([series.beam is not None for series in data.series])
+    usable = (noise.scatter.freedom > 0) & ~noise.scatter.gross & ~beams[data.series_number]
+    scatter, rows = noise.scatter.only(usable), np.flatnonzero(usable)
+    if scatter.freedom.sum() < MIN_REPEATS:
+        return None
+    return Sizes(
+        scatter.squared, scatter.freedom, (noise.sigma * np.sqrt(data.repeats))[rows], rows, _setups(data)[rows]
+    )
+
+
+def _of_residuals(fitted: Fitted) -> tuple[Sizes, Sizes]:
+    """Return poses' studentised residuals in leading units, and those without their smooth part, beside noise and misfit.
+
+    The smooth part is their regression on harmonics of joint readings and a quadratic in place, series by series. Rows of a pose
+    share errors, so that together they are one size.
+    """
+    data, noise, setup = fitted.data, fitted.noise.total, _setups(fitted.data)
+    squared, freedom = np.zeros((2, len(data))), np.zeros(len(data))
+    for k, observed in enumerate(fitted.model.observations):
+        rows = np.flatnonzero(data.of_series(k))
+        leading = [unit == observed.units[0] for unit in observed.units]
+        error = fitted.studentised[rows, : len(leading)][:, leading]
+        freedom[rows] = error.shape[1]
+        basis = _basis(_smooth_functions(fitted, rows) / noise[rows, None])
+        leverage = (basis**2).sum(axis=1)
+        rough = (error - basis @ (basis.T @ error)) / np.sqrt(np.maximum(1 - leverage, 1 - MOST_LEVERAGE))[:, None]
+        squared[:, rows] = (error**2).sum(axis=1), (rough**2).sum(axis=1)
+    _, first, group = np.unique([fitted.poses, setup], axis=1, return_index=True, return_inverse=True)
+    single, together = (noise * np.sqrt(data.repeats))[first], np.bincount(group, freedom)
+    left, rest = (
+        Sizes(np.bincount(group, each) * single**2, together, single, first, setup[first]) for each in squared
+    )
+    return left, rest
+
+
+def _setups(data: Measurements) -> np.ndarray:
+    """Return the number (n_rows,) of each row's device and session."""
+    return np.asarray(
+        pd.DataFrame({"series": data.series_number, "session": data.session}).groupby(["series", "session"]).ngroup()
+    )
+
+
+def _smooth_functions(fitted: Fitted, rows: np.ndarray) -> np.ndarray:
+    """Return smooth functions of joint readings and place at rows (n,), the constant first, as many as these permit, (n, k)."""
+    joints, place = fitted.data.joints[rows], fitted.model.point(fitted.fit.estimate, fitted.data.conditions[:, rows])
+    place = place - place.mean(axis=0)
+    waves = [wave(order * q) for order in (1, 2) for q in joints.T for wave in (np.cos, np.sin)]
+    products = [place[:, i] * place[:, j] for i in range(3) for j in range(i, 3)]
+    smooth = [*place.T, *waves[: 2 * joints.shape[1]], *products, *waves[2 * joints.shape[1] :]]
+    return np.stack([np.ones(len(rows)), *smooth[: len(rows) // ROWS_A_REGRESSOR]], axis=1)
+
+
+def _basis(columns: np.ndarray) -> np.ndarray:
+    """Return an orthonormal basis of the space that columns (n, k) span."""
+    basis, triangle = np.linalg.qr(columns)
+    return np.asarray(basis[:, np.abs(np.diag(triangle)) > 1e-9 * np.abs(triangle).max()])
+
+
+def _fitted(sizes: Sizes, distance: np.ndarray, p: float) -> Growth:
+    """Return the maximum-likelihood floor and slope, by their logarithms."""
+    middle = float(np.sqrt(np.median(sizes.squared / sizes.freedom)))
+    start = np.log([middle / 2, middle / 2 / np.mean(distance)])
+    x = ca.MX.sym("x", 2)
+    variance = (ca.exp(x[0]) + ca.exp(x[1]) * ca.DM(distance)) ** 2
+    cost = ca.sum1(0.5 * ca.DM(sizes.squared) / variance + 0.5 * ca.DM(sizes.freedom) * ca.log(variance))
+    curvature, slope = ca.hessian(cost, x)
+    function = ca.Function("cost", [x], [cost, slope, curvature])
+    optimum = scipy.optimize.minimize(
+        lambda at: float(function(at)[0]), start, jac=lambda at: np.array(function(at)[1]).ravel(), method="L-BFGS-B",
+        bounds=np.stack([start - WIDE, start + WIDE], axis=1),
+    ).x  # fmt: skip
+    inverse = np.linalg.pinv(np.array(function(optimum)[2]), hermitian=True)
+    sd = float(np.sqrt(max(inverse[1, 1], 0.0)) * np.exp(optimum[1]))
+    return Growth(float(np.exp(optimum[0])), float(np.exp(optimum[1])), sd, p)
