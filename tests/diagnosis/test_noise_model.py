@@ -10,7 +10,7 @@ import pytest
 
 from calflow.diagnosis.background import BackgroundBasis
 from calflow.diagnosis.fitted import Fitted
-from calflow.diagnosis.noise_model import Levels, levels_of_residuals, noise_of_repeats, noise_of_residuals
+from calflow.diagnosis.noise_model import NoiseLevels, levels_of_residuals, noise_of_repeats, noise_of_residuals
 from calflow.diagnosis.unexplained import POSE, Standstills, unexplained
 from calflow.estimation.accuracy import errors
 from calflow.estimation.fit import fit_reweighted
@@ -148,7 +148,7 @@ def test_a_noisier_session_is_told_from_the_others(repeats, stated):
     """Fails if the noise of one day is shared by all, is not sized, or the repeats or residuals that tell it are not used."""
     seen = fitted(repeats, none, noisy_on_wednesday, days, stated)
     levels = (noise_of_repeats if repeats > 1 else noise_of_residuals)(seen)
-    assert isinstance(levels, Levels)
+    assert isinstance(levels, NoiseLevels)
     assert levels.p < 1e-3
     (factors,) = levels.factors
     of_day = np.array([factors.get(day, 1.0) for day in ("mon", "tue", "wed")])

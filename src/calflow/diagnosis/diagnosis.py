@@ -17,7 +17,7 @@ from calflow.diagnosis.background import BackgroundBasis
 from calflow.diagnosis.extension import Extended, extend, weighed, weighed_against
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.misfit import Misfit, MisfitRegion, misfit
-from calflow.diagnosis.noise_model import Growth, Levels, noise_of_repeats, noise_of_residuals
+from calflow.diagnosis.noise_model import Growth, NoiseLevels, noise_of_repeats, noise_of_residuals
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.stepwise import SHARES, CauseAcceptance, Stepwise, words
 from calflow.diagnosis.trial import Linearisation
@@ -62,7 +62,7 @@ class Diagnosis:
     extended: Extended
     deployed: DeployedCauses
     left: tuple[UnexplainedStructure, ...]
-    noise: Growth | Levels | None
+    noise: Growth | NoiseLevels | None
     catalogue: Catalogue
     false_alarm: float
     misfit: Misfit | None = None
@@ -76,9 +76,9 @@ class Diagnosis:
         return self.noise if isinstance(self.noise, Growth) else None
 
     @property
-    def levels(self) -> Levels | None:
+    def levels(self) -> NoiseLevels | None:
         """The noise of set-ups that are noisier than others."""
-        return self.noise if isinstance(self.noise, Levels) else None
+        return self.noise if isinstance(self.noise, NoiseLevels) else None
 
     @property
     def final(self) -> Fitted | None:

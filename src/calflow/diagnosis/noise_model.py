@@ -67,7 +67,7 @@ class Growth:
 
 
 @dataclass(frozen=True)
-class Levels:
+class NoiseLevels:
     """Noise that is larger in some set-ups: factors of each series' noise by session, and the p-value of equal noise."""
 
     factors: tuple[Mapping[str, float], ...]
@@ -100,7 +100,7 @@ class Levels:
             for k, each in enumerate(devices)
         )
 
-    def levelled(self, _: Fitted) -> Levels:
+    def levelled(self, _: Fitted) -> NoiseLevels:
         """Return the factors themselves: they are those of a model fitted with them."""
         return self
 
@@ -118,8 +118,8 @@ class Levels:
 
 
 @dataclass(frozen=True, eq=False)
-class Sizes:
-    """Sizes of errors: squares (n,) [unit²] with degrees of freedom (n,), and the noise taken to be theirs (n,) [unit].
+class ErrorSizes:
+    """ErrorSizes of errors: squares (n,) [unit²] with degrees of freedom (n,), and the noise taken to be theirs (n,) [unit].
 
     rows (n,): their rows; setup (n,): the numbers of their set-ups.
     """
@@ -130,9 +130,9 @@ class Sizes:
     rows: np.ndarray
     setup: np.ndarray
 
-    def only(self, which: np.ndarray) -> Sizes:
+    def only(self, which: np.ndarray) -> ErrorSizes:
         """Return a subset."""
-        return Sizes(**{name: value[which] for name, value in vars(self).items()})
+        return ErrorSizes(**{name: value[which] for name, value in vars(self).items()})
 
     @property
     def setups(self) -> np.ndarray:
@@ -157,7 +157,7 @@ class Sizes:
         return float(p), float(np.linalg.lstsq(every, root, rcond=None)[0][-1])
 
 
-def noise_of_repeats(fitted: Fitted) -> Growth | Levels | None:
+def noise_of_repeats(fitted: Fitted) -> Growth | NoiseLevels | None:
     """Return how the scatter of repeats, which is free of model errors, differs from the assumed noise; None without repeats."""
     repeats = _of_repeats(fitted)
     if repeats is None:
@@ -166,7 +166,7 @@ def noise_of_repeats(fitted: Fitted) -> Growth | Levels | None:
     return _likelier(_growth(fitted.data, repeats, repeats), _levels(fitted, repeats, alike))
 
 
-def noise_of_residuals(fitted: Fitted) -> Growth | Levels | None:
+def noise_of_residuals(fitted: Fitted) -> Growth | NoiseLevels | None:
     """Return how the residuals of a model with its causes differ from the assumed noise; None with repeats.
 
     It must be significant in, and is fitted to, residuals without their smooth part in joint readings and place, which is a misfit
@@ -182,7 +182,7 @@ def noise_of_residuals(fitted: Fitted) -> Growth | Levels | None:
     return _likelier(_growth(fitted.data, left.only(there), rough.only(there)), levels_of_residuals(fitted))
 
 
-def _likelier(growth: Growth | None, levels: Levels | None) -> Growth | Levels | None:
+def _likelier(growth: Growth | None, levels: NoiseLevels | None) -> Growth | NoiseLevels | None:
     """Return the more significant of two, at a p-value for both."""
     if growth and levels:
         p = min(1.0, 2 * min(growth.p, levels.p))
@@ -190,7 +190,7 @@ def _likelier(growth: Growth | None, levels: Levels | None) -> Growth | Levels |
     return growth or levels
 
 
-def levels_of_residuals(fitted: Fitted) -> Levels | None:
+def levels_of_residuals(fitted: Fitted) -> NoiseLevels | None:
     """Return the noise of set-ups by residuals without their smooth part, those of a model that is fitted with it.
 
     Set-ups are compared beside smooth functions of joint readings and place: where they measured different poses, the larger errors
@@ -209,7 +209,7 @@ def levels_of_residuals(fitted: Fitted) -> Levels | None:
     return found
 
 
-def _growth(data: Measurements, tested: Sizes, fitted: Sizes) -> Growth | None:
+def _growth(data: Measurements, tested: ErrorSizes, fitted: ErrorSizes) -> Growth | None:
     """Return the growth with range of sizes, which is significant in those tested too; None without ranges.
 
     Only growth within a set-up counts: of two devices the further one may be the noisier.
@@ -225,7 +225,7 @@ def _growth(data: Measurements, tested: Sizes, fitted: Sizes) -> Growth | None:
     return _fitted(fitted.only(seen), distance[seen], p[0] if p[1] < STILL else 1.0)
 
 
-def _levels(fitted: Fitted, sizes: Sizes, beside: np.ndarray) -> Levels | None:
+def _levels(fitted: Fitted, sizes: ErrorSizes, beside: np.ndarray) -> NoiseLevels | None:
     """Return the noise of set-ups by the sizes of errors beside regressors (n, k); None where none is noisier than others.
 
     A set-up that measured other poses than the others is not compared.
@@ -259,7 +259,7 @@ def _levels(fitted: Fitted, sizes: Sizes, beside: np.ndarray) -> Levels | None:
     factors: list[dict[str, float]] = [{} for _ in data.series]
     for (_, _, k, session), times in factor[factor != 1.0].items():
         factors[k][session] = times
-    return Levels(tuple(factors), p)
+    return NoiseLevels(tuple(factors), p)
 
 
 def _not_predicted(setups: np.ndarray, beside: np.ndarray) -> np.ndarray:
@@ -270,7 +270,7 @@ def _not_predicted(setups: np.ndarray, beside: np.ndarray) -> np.ndarray:
     return np.asarray(setups @ share * (len(setups) - 1) / max(1, len(setups) - basis.shape[1]))
 
 
-def _of_repeats(fitted: Fitted) -> Sizes | None:
+def _of_repeats(fitted: Fitted) -> ErrorSizes | None:
     """Return the scatter of repeats beside the assumed noise; None where its degrees of freedom are too few."""
     noise, data = fitted.device, fitted.data
     if noise.scatter is None:
@@ -280,12 +280,12 @@ def _of_repeats(fitted: Fitted) -> Sizes | None:
     scatter, rows = noise.scatter.only(usable), np.flatnonzero(usable)
     if scatter.freedom.sum() < MIN_REPEATS:
         return None
-    return Sizes(
+    return ErrorSizes(
         scatter.squared, scatter.freedom, (noise.sigma * np.sqrt(data.repeats))[rows], rows, _setups(data)[rows]
     )
 
 
-def _of_residuals(fitted: Fitted) -> tuple[Sizes, Sizes]:
+def _of_residuals(fitted: Fitted) -> tuple[ErrorSizes, ErrorSizes]:
     """Return poses' studentised residuals in leading units, and those without their smooth part, beside noise and misfit.
 
     The smooth part is their regression on harmonics of joint readings and a quadratic in place, series by series. Rows of a pose
@@ -305,7 +305,7 @@ def _of_residuals(fitted: Fitted) -> tuple[Sizes, Sizes]:
     _, first, group = np.unique([fitted.poses, setup], axis=1, return_index=True, return_inverse=True)
     single, together = (noise * np.sqrt(data.repeats))[first], np.bincount(group, freedom)
     left, rest = (
-        Sizes(np.bincount(group, each) * single**2, together, single, first, setup[first]) for each in squared
+        ErrorSizes(np.bincount(group, each) * single**2, together, single, first, setup[first]) for each in squared
     )
     return left, rest
 
@@ -333,7 +333,7 @@ def _basis(columns: np.ndarray) -> np.ndarray:
     return np.asarray(basis[:, np.abs(np.diag(triangle)) > 1e-9 * np.abs(triangle).max()])
 
 
-def _fitted(sizes: Sizes, distance: np.ndarray, p: float) -> Growth:
+def _fitted(sizes: ErrorSizes, distance: np.ndarray, p: float) -> Growth:
     """Return the maximum-likelihood floor and slope, by their logarithms."""
     middle = float(np.sqrt(np.median(sizes.squared / sizes.freedom)))
     start = np.log([middle / 2, middle / 2 / np.mean(distance)])
