@@ -100,7 +100,7 @@ class BackgroundBasis:
     @staticmethod
     def of(fitted: Fitted) -> BackgroundBasis:
         """Return the basis at a fitted model, without inputs on which no residual depends."""
-        kinds = [*((JOINTS, [field]) for field in fields(fitted)), *beside_joints(fitted.data)]
+        kinds = [*((JOINTS, [field]) for field in fields(fitted)), *beside_joints(fitted.model, fitted.data)]
         regressors = replace(fitted, background=None, shared=0.0).regressors(
             [effect for _, effects in kinds for effect in effects]
         )

@@ -24,7 +24,7 @@ from calflow.effects.step_change import StepChange
 from calflow.effects.warming import Warming
 from calflow.estimation.error_model import ErrorModel, SmoothVariances, usual_sizes
 from calflow.estimation.fit import Fit
-from calflow.estimation.smooth_functions import SIZE, InTime, SmoothFunction, Wandering, in_time
+from calflow.estimation.smooth_functions import SIZE, InTime, SmoothFunction, Wandering, in_time, within
 from calflow.estimation.variance_components import SIZES, TEMPERED
 from calflow.files.tables import column
 from calflow.measurements.measurements import Measurements
@@ -56,6 +56,25 @@ class Later(Wandering):
             return ca.SX(self.any_time) if self.any_time else ca.SX(1, 1)
         beyond = ca.fmax(0, ca.fmax(self.begin - row.time, row.time - self.end))
         return self.change * ca.sqrt(self.diffusion(beyond) / ((self.end - self.begin) or 1.0))
+
+
+@dataclass(frozen=True)
+class InFurtherSession(Wandering):
+    """The shift of a device in sessions that were not measured, each of which it is placed anew for.
+
+    sessions: first and last time of those that were; change, any_time: its standard deviation at any other time, and at a row
+    without time, over the usual one.
+    """
+
+    sessions: tuple[tuple[float, float], ...] = ()
+    change: float = 1.0
+    any_time: float = 0.0
+
+    def gone(self, row: Row) -> ca.SX:
+        """Return the standard deviation at a row."""
+        if not row.time.nnz():
+            return ca.SX(self.any_time) if self.any_time else ca.SX(1, 1)
+        return self.change * (1 - sum((within(row.time, session) for session in self.sessions), ca.SX(0)))
 
 
 @dataclass(frozen=True)
@@ -234,7 +253,8 @@ def beyond_measured(errors: ErrorModel, sizes: SmoothVariances, variance: np.nda
 
     A cause of the device's frame is a drift, too: its walk has the variance estimated without that cause, and starts from the
     cause's last value; a step may be an event instead (see `_wandered`). During the measurement the cause describes it, and it is
-    no error of the robot. A warm-up goes on, but the robot may be switched off.
+    no error of the robot. A device that is placed anew for each session wanders in a further one as in those measured. A warm-up
+    goes on, but the robot may be switched off.
 
     Args:
         errors: the error model at the measured rows.
@@ -242,6 +262,7 @@ def beyond_measured(errors: ErrorModel, sizes: SmoothVariances, variance: np.nda
         variance: of each of their parts, (n_parts,).
     """
     result, data, left = sizes.result, sizes.data, _walks(sizes, variance)
+    anew = {Wandering.of} if result.model.by_session else set()
     further = [*_beyond_causes(result, data)]
     errors = errors.with_functions(further, usual_sizes(result.model, further))
     # Which session it was says all of its frame: the next one's is placed anew.
@@ -262,13 +283,18 @@ def beyond_measured(errors: ErrorModel, sizes: SmoothVariances, variance: np.nda
         if by_order:
             # With causes twice the variance: their drift, extrapolated to other rows, and the drift there are independent.
             functions, share = [*in_time(data, of)], walk * (np.sqrt(2) if causes else 1.0)
+        elif of in anew:
+            times = data.table["time"].groupby(data.session).agg(["min", "max"]).to_numpy().tolist()
+            sessions = tuple((begin, end) for begin, end in times)
+            anywhere = InFurtherSession(data.robot, of, sessions=sessions, change=walk, any_time=left[of])
+            functions, share = [anywhere], 1.0
         else:
             later = Later(data.robot, of, begin=begin, end=end, any_time=left[of])
             functions, share = [replace(later, change=float(later.change_in(end - begin) * walk))], 1.0
         # Functions of zero variance would only cost time at every predicted row.
         if walk or left[of]:
             errors = errors.with_functions(functions, share * usual_sizes(result.model, functions))
-    if causes and not by_order:
+    if causes and not by_order and not anew:
         slope = _moved(causes, result, data)
         come = [InTime(data.robot, begin=end, end=end + MOMENT)]
         sd = usual_sizes(result.model, come)

@@ -42,6 +42,7 @@ TINY = 1e-6  # m, of a travel
 STILL = 1e-9  # derivative by a joint over the largest, below which it is rounding
 # Steps of a random walk during the measurement, of equal numbers of rows, besides pauses; a robot warms up steadily.
 STEPS, STEPS_OF_ROBOT = 16, 4
+STEPS_OF_SESSION = 8  # at least, of a device that is placed anew for each session
 STATIONARY = 10  # time constants before the measurement, at which a stationary walk begins
 
 
@@ -235,9 +236,13 @@ class Wandering(SmoothFunction):
 
 @dataclass(frozen=True)
 class InTime(Wandering):
-    """A step of a walk, linear from begin to end; mean is its average over the measurement, which belongs to the base."""
+    """A step of a walk, linear from begin to end; mean is its average over the measurement, which belongs to the base.
+
+    session: first and last time of the only session that it concerns; None: one walk goes through all.
+    """
 
     mean: float = 0.0
+    session: tuple[float, float] | None = None
 
     def share_at(self, at: Times) -> Times:
         """Return the share that has occurred and not decayed."""
@@ -247,7 +252,10 @@ class InTime(Wandering):
     def gone(self, row: Row) -> ca.SX:
         """Return that share, less its average."""
         at = row.time if self.clock == "time" else row.order
-        return self.share_at(at) - self.mean if at.nnz() else ca.SX(1, 1)
+        if not at.nnz():
+            return ca.SX(1, 1)
+        gone = self.share_at(at) - self.mean
+        return gone * within(at, self.session) if self.session else gone
 
 
 @dataclass(frozen=True)
@@ -358,7 +366,7 @@ def smooth_functions(problem: LeastSquares, estimate: np.ndarray, data: Measurem
     if not of_images(data):
         bases += [(place.inputs, [place]) for place in of_place(problem.model, estimate, data)]
     walks = (in_time(data, of) for of in WALKING if of != Wandering.of)
-    return bases + beside_joints(data) + [(walk[0].inputs, [*walk]) for walk in walks if walk]
+    return bases + beside_joints(problem.model, data) + [(walk[0].inputs, [*walk]) for walk in walks if walk]
 
 
 def means(functions: Sequence[SmoothFunction]) -> list[SmoothFunction]:
@@ -371,12 +379,12 @@ def is_mean(function: SmoothFunction) -> bool:
     return isinstance(function, OfJoints) and not function.orders
 
 
-def beside_joints(data: Measurements) -> list[Part]:
+def beside_joints(model: Model, data: Measurements) -> list[Part]:
     """Return the parts by place in an image and on a target, by payload, and by time or order."""
     bases: list[Part] = [(of.inputs, [of]) for of in of_images(data)]
     if loaded := under_payloads(data):
         bases.append((("payload",), [*loaded]))
-    if steps := in_time(data):
+    if steps := (in_sessions if model.by_session else in_time)(data):
         bases.append((steps[0].inputs, [*steps]))
     return bases
 
@@ -408,12 +416,46 @@ def in_time(data: Measurements, of: str = Wandering.of) -> list[InTime]:
 
     There are none where all rows are of one time.
     """
-    clock: Literal["time", "order"] = "time" if "time" in data.given else "order"
-    if clock not in data.given or data.table[clock].nunique() < 2:
-        return []
-    at = data.table[clock].to_numpy(float)
+    clock, at = _clock(data)
     walk = Wandering(data.robot, of, clock)
-    n, every = STEPS if walk.quantity.of_measuring() else STEPS_OF_ROBOT, np.unique(at)
+    number = STEPS if walk.quantity.of_measuring() else STEPS_OF_ROBOT
+    return _steps(walk, at, np.ptp(at), number) if len(at) else []
+
+
+def in_sessions(data: Measurements) -> list[InTime]:
+    """Return the steps of the shift of a device that is placed anew for each session: one walk about its mean in each.
+
+    All have one variance per time, such that the mean square over the rows is that of a single walk.
+    """
+    clock, at = _clock(data)
+    if not len(at):
+        return []
+    spans = [at[data.session == session] for session in dict.fromkeys(data.session)]
+    duration, walk = sum(np.ptp(span) * len(span) for span in spans) / len(at), Wandering(data.robot, clock=clock)
+    number = max(STEPS // len(spans), STEPS_OF_SESSION)
+    return [
+        replace(step, session=(float(span.min()), float(span.max())))
+        for span in spans
+        if np.ptp(span)
+        for step in _steps(walk, span, duration, number)
+    ]
+
+
+def within(at: Times, session: tuple[float, float]) -> Times:
+    """Return 1 where a time is within a session, from its first to its last, and 0 elsewhere."""
+    return (at >= session[0]) * (at <= session[1])
+
+
+def _clock(data: Measurements) -> tuple[Literal["time", "order"], np.ndarray]:
+    """Return what tells the time of rows, and their times (n_rows,), none where all are of one time."""
+    clock: Literal["time", "order"] = "time" if "time" in data.given else "order"
+    told = clock in data.given and data.table[clock].nunique() > 1
+    return clock, data.table[clock].to_numpy(float) if told else np.zeros(0)
+
+
+def _steps(walk: Wandering, at: np.ndarray, duration: float, n: int) -> list[InTime]:
+    """Return n steps and pauses of a walk through times (n_rows,), which has a mean square about its mean of 1 in a duration."""
+    every = np.unique(at)
     paused = np.flatnonzero(np.diff(every) > np.ptp(at) / n)
     nodes = np.unique(
         [*np.quantile(at, np.linspace(0, 1, n + 1), method="nearest"), *every[paused], *every[paused + 1]]
@@ -421,9 +463,10 @@ def in_time(data: Measurements, of: str = Wandering.of) -> list[InTime]:
     if np.isfinite(walk.time_constant):
         # The first step is the initial state of a stationary process.
         nodes = np.append(at.min() - STATIONARY * walk.time_constant, nodes)
-    steps = [InTime(data.robot, of, clock, begin, end) for begin, end in pairwise(nodes.tolist())]
+    steps = [InTime(walk.robot, walk.of, walk.clock, begin, end) for begin, end in pairwise(nodes.tolist())]
+    per_time = walk.change_in(duration) / duration**0.5
     return [
-        replace(step, share=step.change_in(np.ptp(at)) * (float(step.diffusion(ca.DM(step.end - step.begin))) / np.ptp(at)) ** 0.5,
+        replace(step, share=per_time * float(step.diffusion(ca.DM(step.end - step.begin))) ** 0.5,
                 mean=float(np.mean(step.share_at(ca.DM(at)).full())))
         for step in steps
     ]  # fmt: skip
