@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 import pytest
 
+import calflow as cf
 from calflow.deployment.prediction import predict_rows
 from calflow.effects.cause import Cause
 from calflow.effects.frame_drift import FrameDrift
@@ -145,6 +146,23 @@ def test_a_day_later_a_wander_has_gone_on():
     now, hour, day = (promised(errors, result, data, seconds).mean() for seconds in (-1000.0, 3600.0, 86400.0))
     assert now < hour < day
     assert day > 3 * hour
+
+
+def test_a_device_that_is_placed_anew_has_not_walked_through_the_nights():
+    """Fails if each day's place of a device counts as what it walked overnight, or its walk within a day is forgotten the next."""
+    data, rng, day = wavering(4, 0.0), np.random.default_rng(4), np.arange(POSES) // 30
+    steps = rng.standard_normal((3, 30, 3)).cumsum(axis=1)
+    steps -= steps.mean(axis=1, keepdims=True)
+    walk = 1e-4 * (steps / steps.std()).reshape(POSES, 3)
+    data.table[["x", "y", "z"]] += walk + 1e-3 * rng.standard_normal((3, 3))[day]
+    days = {"time": day * 86400.0 + np.arange(POSES) % 30 * 120.0, "session": np.array(["mon", "tue", "wed"])[day]}
+    data = replace(data, table=data.table.assign(**days, sigma=SIGMA))
+    known = cf.identify(data.robot, data, ["geometry", "session-frame"], starts=1)
+    rows = data.table.drop(columns="session")
+    later = [replace(data, table=rows.assign(time=rows["time"].max() + days * 86400.0)) for days in (1.0, 7.0)]
+    tomorrow, next_week = (np.sqrt((predict_rows(known, each, "widen").sd ** 2).mean()) for each in later)
+    assert tomorrow == pytest.approx(next_week)
+    assert 0.8e-4 < tomorrow < 1.5e-4
 
 
 def test_an_arm_that_grows_goes_on_where_it_reaches_out():
