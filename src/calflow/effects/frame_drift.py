@@ -57,7 +57,7 @@ class FrameDrift(Effect):
         end = float(passed.max())
         steady = [cls(robot, turning, rows) for turning in (False, True)]
         if len(sessions := sessions_of(data)) > 1:
-            starts = passed.groupby(data.table["session"].astype(str)).min()
+            starts = passed.groupby(data.session).min()
             first = tuple(float(starts[session]) for session in sessions)
             steady += [cls(robot, turning, rows, sessions, first) for turning in (False, True)]
         curves = (

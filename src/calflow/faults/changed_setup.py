@@ -141,14 +141,14 @@ def _in_some_rows(data: Measurements, as_read: FittedSetup, some: Setup) -> Iter
     """Yield mistakes of the table before or after some row, in a session, or in rows that their correction explains."""
     plain, number, line = rigid_sums(some.points(), some.position), np.arange(len(data)), data.table["line"].to_numpy()
     ends, once = np.arange(MIN_ROWS - 1, len(plain) - MIN_ROWS), LOG_ODDS - np.log(len(plain))
-    sessions, before = sessions_of(data) if "session" in data.given else (), _position_errors(as_read, some)
+    sessions, before = sessions_of(data), _position_errors(as_read, some)
     near: list[Part] = []
     mending: list[Part] = []
     for mistake in row_mistakes(data):
         undone = mistake.undo(some)
         other = rigid_sums(undone.points(), undone.position)
         for name in sessions:
-            rows = (data.table["session"].astype(str) == name).to_numpy()
+            rows = data.session == name
             error = float(rigid_errors(np.where(rows[some.numbers][:, None], other, plain).sum(axis=0)))
             near.append((error, mistake, rows, f"in session {name}, in no other", LOG_ODDS))
         for later, errors in enumerate(split_errors(plain, other, ends)):
@@ -245,12 +245,12 @@ def _device(data: Measurements, as_read: FittedSetup, some: Setup, sums: np.ndar
     """Yield the row from which the device's pose changed, unless a session begins there."""
     before, whole = np.cumsum(sums, axis=0), sums.sum(axis=0)
     first = _change(some, _squares(before) + _squares(whole - before), float(_squares(whole)))
-    named = data.table["session"].astype(str).to_numpy() if "session" in data.given else None
-    if first is not None and (named is None or named[first] == named[first - 1]):
+    named = data.session
+    if first is not None and named[first] == named[first - 1]:
         later = np.arange(len(data)) >= first
         apart = replace(data, table=data.table.assign(session=np.where(later, "after", "before")))
         names = (
-            "name the rows before and after in a column 'session'" if named is None else
+            "name the rows before and after in a column 'session'" if "session" not in data.given else
             f"give the rows of session '{named[first]}' from there on a session's name of their own"
         )  # fmt: skip
         words = (
@@ -263,7 +263,7 @@ def _device(data: Measurements, as_read: FittedSetup, some: Setup, sums: np.ndar
 def _sessions(data: Measurements, as_read: FittedSetup, some: Setup, sums: np.ndarray) -> Iterator[Mistake]:
     """Yield sessions with separate frames."""
     names = sessions_of(data)
-    of = data.table["session"].astype(str).to_numpy()[some.numbers]
+    of = data.session[some.numbers]
     totals = np.stack([sums[of == name].sum(axis=0) for name in names])
     whole = float(_squares(sums.sum(axis=0)))
     if len(names) > 1 and _explains(float(_squares(totals).sum()), whole) and totals[:, 0].min() >= MIN_ROWS:
@@ -282,7 +282,7 @@ def _separate_frames(
     setup = Setup.of(data, SessionFrame(data.robot, names))
     setup = setup.freed(*(k for k, p in enumerate(setup.model.parameters) if p.effect == SessionFrame.id))
     points, position, far = as_read.fit.predicted(as_read.setup.conditions), setup.position.copy(), 0.0
-    of = data.table["session"].astype(str).to_numpy()[setup.numbers]
+    of = data.session[setup.numbers]
     if min(np.count_nonzero(of == name) for name in names) < PLACING:
         return
     turn, shift, _ = motion(points[of == names[0]], position[of == names[0]])

@@ -432,7 +432,7 @@ def borders(data: Measurements) -> np.ndarray:
     sessions = sessions_of(data)
     if len(sessions) < 2 or "order" not in data.table:
         return np.array([])
-    spans = data.table.groupby(data.table["session"].astype(str))["order"].agg(["min", "max"]).loc[list(sessions)]
+    spans = data.table.groupby(data.session)["order"].agg(["min", "max"]).loc[list(sessions)]
     last, first = spans["max"].to_numpy(float)[:-1], spans["min"].to_numpy(float)[1:]
     return (last + first) / 2 if (last < first).all() else np.array([])
 
