@@ -16,7 +16,14 @@ from calflow.effects.frame_step import FrameStep
 from calflow.effects.joint_error_map import JointErrorMap
 from calflow.effects.thermal_growth import ThermalGrowth
 from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise
-from calflow.estimation.error_model import ErrorModel, SmoothVariances, beside_smooth_errors, error_table, read_errors
+from calflow.estimation.error_model import (
+    ErrorModel,
+    SmoothVariances,
+    beside_smooth_errors,
+    error_table,
+    read_errors,
+    root_of,
+)
 from calflow.estimation.extrapolation import beyond_measured
 from calflow.estimation.fit import Fit, fit_reweighted
 from calflow.estimation.least_squares import LeastSquares
@@ -334,6 +341,17 @@ def test_beyond_a_measured_travel_a_curve_is_another_of_its_kind():
     alike = np.einsum("nak,na->nk", curve, across)[beyond]
     apart = alike - alike.mean(axis=0)
     assert (apart**2).sum() > 0.5 * (alike**2).sum()
+
+
+def test_a_root_keeps_small_parameters_beside_large_ones():
+    """Fails if a compensator's torque [Nm] drowns the compliances [rad/Nm] in rounding, and a tool is promised to 0.3 m."""
+    rng = np.random.default_rng(3)
+    correlation = np.corrcoef(rng.standard_normal((12, 6)), rowvar=False)
+    sd = np.array([2e3, 1e3, 1e-9, 5e-9, 2e-5, 0.0])
+    covariance = correlation * np.outer(sd, sd)
+    root = root_of(covariance)
+    assert (np.abs(root @ root.T - covariance) <= 1e-12 * np.outer(sd, sd)).all()
+    assert np.isfinite(root_of(-covariance)).all()
 
 
 def test_a_table_brings_it_back():

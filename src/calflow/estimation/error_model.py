@@ -176,8 +176,11 @@ class ErrorModel:
 
 def root_of(covariance: np.ndarray) -> np.ndarray:
     """Return a root R (n, n) of a covariance R Rᵀ that is positive semidefinite but for rounding."""
-    value, axes = np.linalg.eigh(covariance)
-    return np.asarray(axes * np.sqrt(np.maximum(value, 0.0)))
+    sd = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
+    # A torque in Nm beside a compliance in rad/Nm: by the largest of both, the smallest would be lost in rounding.
+    scale = np.where(sd > 0, sd, 1.0)
+    value, axes = np.linalg.eigh(covariance / np.outer(scale, scale))
+    return np.asarray(scale[:, None] * axes * np.sqrt(np.maximum(value, 0.0)))
 
 
 def of_parameters(jacobian: np.ndarray, covariance: np.ndarray) -> np.ndarray:
