@@ -84,7 +84,8 @@ class Background:
     """Errors that no cause explains: random smooth functions of inputs, standard normal times their effects.
 
     inputs: inputs of each part; functions: basis functions of all parts; effects (n, n_modes): principal effects on the residuals,
-    whitened by weight (n,); parts: effects of each part's functions in these, (n_modes, n_waves); degrees_of_freedom (n_parts,):
+    whitened by weight (n,); parts: effects of each part's functions in these, (n_modes, n_waves), of all parts together with
+    orthonormal rows; degrees_of_freedom (n_parts,):
     those of the variances; gain: twice the log-likelihood that all parts add; tried: number of parts that were considered.
     """
 
@@ -113,12 +114,12 @@ class Background:
             of_noise: degrees of freedom of the noise's variance.
         """
         whole = np.maximum(visible, np.finfo(float).tiny)
-        left, unsure = np.ones(len(whole)), np.zeros(len(whole))
-        for waves, freedom in zip(self.parts, self.degrees_of_freedom, strict=True):
-            share = ((waves.T @ taken) ** 2).sum(axis=0) / whole
-            left -= share
-            unsure += share**2 / freedom
-        return np.asarray(1 / (unsure + np.maximum(left, 0.0) ** 2 / of_noise))
+        every = (taken**2).sum(axis=0) / whole
+        others = [((waves.T @ taken) ** 2).sum(axis=0) / whole for waves in self.parts[1:]]
+        # The functions of all parts together are orthonormal: those of the first, the most, take what the others leave.
+        shares = np.array([every - sum(others), *others])
+        unsure = (shares.T**2 / self.degrees_of_freedom).sum(axis=1)
+        return np.asarray(1 / (unsure + np.maximum(1 - every, 0.0) ** 2 / of_noise))
 
 
 def principal(modes: np.ndarray, parts: Sequence[np.ndarray]) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:

@@ -409,8 +409,9 @@ def _within_reach(trial: Trial[H], others: Iterable[list[H]]) -> Iterator[Propos
 def _moved(trial: Trial[H], step: Proposal[H]) -> Trial[H]:
     """Return the trial after a step, with the error of its predicted cost."""
     moved = trial.with_causes(step.causes, step.added)
-    missed = trial.missed if step.expected is None else abs(moved.cost - trial.cost - step.expected)
-    return replace(moved, missed=missed)
+    if step.expected is not None:  # set in place: a copy would have to compute its cost anew
+        vars(moved)["missed"] = abs(moved.cost - trial.cost - step.expected)
+    return moved
 
 
 def _difference(before: Sequence[H], after: Sequence[H]) -> str:
