@@ -240,6 +240,15 @@ def test_units_and_signs_that_are_wrong_are_no_movement(robot, seen_by):
     assert any("off by more than any calibrated robot" in note for note in found.summary.notes)
 
 
+def test_what_is_left_beside_a_fitted_frame_is_left_in_the_frame_of_what_is_corrected(robot):
+    """Fails if a correction is said to leave more than there was, as the frame had taken up a part of what moved."""
+    known, q = robot
+    found = drift(known, checked(known, q, 6, zero(2, 4e-4), wrong=False), station="fitted")
+    assert [moved.joint for moved in found.moved] == [2]
+    assert found.summary.left_mm < 1.8e3 * NOISE
+    assert found.summary.left_mm < 0.7 * found.summary.error_mm
+
+
 def test_a_station_that_moved_between_sessions_is_fitted_there_alone(robot):
     """Fails if the frames of all sessions are fitted or none where the device moved between two, or it is not said in which."""
     known, q = robot

@@ -324,8 +324,7 @@ def drift(
     calibrated = calibrated.later(given, data)
     attained = Attained.of(calibrated, data, station)
     fitted = bool(attained.fitted.all())  # where some frames are known, they tell of the robot's foot
-    rows = attained.is_refitted(data)
-    check = CheckProblem.of(calibrated, data, rows)
+    check = CheckProblem.of(calibrated, data, attained.is_refitted(data))
     every = movements(calibrated, data, not fitted)
     rng = np.random.default_rng(seed)
     steps = check.searched(every, MOVEMENTS_SHARE * false_alarm, rng)
@@ -344,14 +343,14 @@ def drift(
     )
     summary = DriftSummary(
         status=status, false_alarm=false_alarm, family_p=steps[0].family_p, unexplained_p=rest, poses=len(check.points),
-        sessions=check.sessions, station="fitted" if rows.any() else "known", error_mm=1e3 * float(check.size().mean()),
-        left_mm=1e3 * float(left.mean()), expected_mm=1e3 * float(np.sqrt(np.trace(_still(check, rows)) / len(check.points))),
+        sessions=check.sessions, station="fitted" if check.refitted.any() else "known", error_mm=1e3 * float(check.size().mean()),
+        left_mm=1e3 * float(left.mean()), expected_mm=1e3 * float(np.sqrt(np.trace(_still(check)) / len(check.points))),
         unseen_mm=1e3 * unseen, usual_mm=1e3 * usual, chance=chance,
         notes=(*data.notes, *_notes(calibrated, data, attained), *([doubt] if doubt else [])),
     )  # fmt: skip
     return Drift(
         tuple(_moved(step, check) for step in significant), tuple(row for movement in best for row in _recalibrated(movement)),
-        _tested(steps[0]), _poses(check, left, rows), poses, summary,
+        _tested(steps[0]), _poses(check, left), poses, summary,
     )  # fmt: skip
 
 
@@ -400,14 +399,18 @@ def _usual_error(check: CheckProblem, fitted: bool) -> float:
 
 
 def _left(check: CheckProblem, best: tuple[Explained, ...]) -> np.ndarray:
-    """Return the length of each point's error beside the movements found (n / 3,) [m]."""
-    error = check.error - sum(check.columns(explained.movement, explained.since) @ explained.size for explained in best)
-    return np.asarray(np.linalg.norm(error.reshape(-1, 3), axis=1))
+    """Return the length of each point's error beside the movements found (n / 3,) [m], frames that are fitted being fitted anew."""
+    moved = (check.columns(explained.movement, explained.since) @ explained.size for explained in best)
+    error = (check.error - sum(moved)).reshape(-1, 3)
+    for k in np.unique(check.session[check.refitted]):
+        there = check.session == k
+        error[there] = beside_motion(error[there], check.points[there])
+    return np.linalg.norm(error, axis=1)
 
 
-def _still(check: CheckProblem, fitted: np.ndarray) -> np.ndarray:
+def _still(check: CheckProblem) -> np.ndarray:
     """Return the covariance of the error where nothing moved; in fitted frames only the points' independent part."""
-    apart = np.repeat(check.share @ fitted > 0, 3)
+    apart = np.repeat(check.refitted, 3)
     return np.where(apart | apart[:, None], np.diag(np.repeat(check.own, 3)), check.covariance)
 
 
@@ -443,8 +446,8 @@ def _tested(step: SearchRound) -> tuple[TestedMovement, ...]:
     return tuple(tested.values())
 
 
-def _poses(check: CheckProblem, left: np.ndarray, fitted: np.ndarray) -> tuple[CheckedPose, ...]:
-    expected = np.sqrt(np.diag(_still(check, fitted)).reshape(-1, 3).sum(axis=1))
+def _poses(check: CheckProblem, left: np.ndarray) -> tuple[CheckedPose, ...]:
+    expected = np.sqrt(np.diag(_still(check)).reshape(-1, 3).sum(axis=1))
     sessions = [check.names[k] for k in check.session]
     rows = zip(check.table.to_dict("records"), sessions, check.size(), expected, left, strict=True)
     return tuple(

@@ -194,7 +194,7 @@ class CheckProblem:
 
     error (n,) [m], its covariance (n, n) [m²]; points (n / 3, 3) [m], session (n / 3,) of each, table: their labels, names:
     sessions in order; share (n / 3, m): weights by which m rows are averaged to points; own (n / 3,) [m²]: variance per
-    axis of a point that is independent of other points.
+    axis of a point that is independent of other points; refitted (n / 3,): whether the frame of its session was fitted.
     """
 
     calibrated: CalibratedModel
@@ -207,6 +207,7 @@ class CheckProblem:
     names: tuple[str, ...]
     share: np.ndarray
     own: np.ndarray
+    refitted: np.ndarray
 
     @staticmethod
     def of(calibrated: CalibratedModel, data: Measurements, fitted: np.ndarray) -> CheckProblem:
@@ -230,19 +231,21 @@ class CheckProblem:
         variance = (share**2) @ calibrated.device_sigma(data) ** 2 + calibrated.errors.rest[METRE] ** 2
         variance += sum((need.spread_mm / 1e3) ** 2 for need in calibrated.needed if need.condition not in data.given)
         covariance = together @ together.T + np.diag(np.repeat(variance, 3))
-        if fitted.any():
-            for k in np.unique(session[fitted[first]]):
-                there = session == k
-                if not can_align(seen[there]):
-                    raise refuse(
-                        "the device's frame cannot be fitted to so few check poses, or they lie on one line: expected at "
-                        "least 4 a session, or say that the station stands where it stood (--station known)"
-                    )
-                seen[there] = Alignment.best(seen[there], points[there]).of(seen[there])
-                frame = rigid_slope(points).reshape(len(covariance), 6) * np.repeat(there, 3)[:, None] * ANYWHERE
-                covariance += frame @ frame.T
+        refitted = share @ fitted > 0
+        for k in np.unique(session[refitted]):
+            there = session == k
+            if not can_align(seen[there]):
+                raise refuse(
+                    "the device's frame cannot be fitted to so few check poses, or they lie on one line: expected at "
+                    "least 4 a session, or say that the station stands where it stood (--station known)"
+                )
+            seen[there] = Alignment.best(seen[there], points[there]).of(seen[there])
+            frame = rigid_slope(points).reshape(len(covariance), 6) * np.repeat(there, 3)[:, None] * ANYWHERE
+            covariance += frame @ frame.T
         error = (seen - points).ravel()
-        return CheckProblem(calibrated, data, error, covariance, session, points, table, names, share, variance)
+        return CheckProblem(
+            calibrated, data, error, covariance, session, points, table, names, share, variance, refitted
+        )
 
     @property
     def sessions(self) -> int:
