@@ -289,7 +289,7 @@ SPEAKS: list[tuple[Rule, Mapping[str, object], int, str]] = [
       "identify/parameters.csv": parameter_table(parameter="joint1.s", part="joint1", joint=1, unit="rad/Nm")}, 3, "joint 1"),
     (usability.look_for_reason, {"diagnose/findings.csv": to_frame([EXCHANGED], Finding)}, 2,
      "Find the reason: unstated change of payload mass (after row 64 in measuring order). The calibration allows for it; if it "
-     "happens again, later measurements are off. To be sure, weigh the payload"),
+     "changes or happens again, later measurements are off. To be sure, weigh the payload"),
     (usability.makes_it_worse, {"diagnose/accuracy.csv": accuracies(holdout=0.08), **lost(0.1, -0.06)}, 1,
      "0.080 mm against 0.060 mm"),
     (usability.makes_it_worse, {"diagnose/accuracy.csv": accuracies(holdout=0.07), **lost(0.01, 0.011, 0.009)}, 2,

@@ -120,11 +120,13 @@ def test_a_socket_that_was_touched_once_shows_no_error(calibrated):
 
 
 def test_rows_are_of_the_series_that_is_named(calibrated):
-    """Fails if a file is read as another series than --series names, or a name that is none passes."""
+    """Fails if a file is read as another series than --series names, a name that is none passes, or a named one is told to name it."""
     q = np.random.default_rng(12).uniform(ARM.LOW, ARM.HIGH, (6, 6))
     calibrated.measure(lengths(q, 13), "few.csv")
     ask = ("validate", calibrated / "runs", calibrated / "few.csv", "--series")
     assert any("length_mm" in told for told in calibrated.refused(*ask, "same-point"))
     (told,) = calibrated.refused(*ask, "distanse")
     assert "expected distance or same-point, found distanse" in told
-    assert calibrated.calflow(*ask, "distance").code == 0
+    named = calibrated.calflow(*ask, "distance")
+    assert (named.code, "--series says otherwise" in named.err) == (0, False)
+    assert "--series says otherwise" in calibrated.calflow(*ask[:-1]).err

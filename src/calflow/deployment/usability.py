@@ -242,8 +242,8 @@ def look_for_reason(outcome: RunOutcome) -> Iterator[Advice]:
         f" To be sure, {kind.told_by}." for finding, kind in found if kind.told_by and not finding.others
     )
     sentence = (
-        f"Find the reason: {listed(labels([finding for finding, _ in found]), 3)}. The calibration allows for it; if it happens "
-        f"again, later measurements are off.{''.join(tests)}"
+        f"Find the reason: {listed(labels([finding for finding, _ in found]), 3)}. The calibration allows for it; if it changes "
+        f"or happens again, later measurements are off.{''.join(tests)}"
     )
     yield Advice(2, sentence)
 

@@ -176,7 +176,11 @@ def rows_measured(calibration: Calibration, rows: str | Path, series: str = "") 
     if targets and len(targets) < len(TARGET):
         missing = ", ".join(name for name in TARGET if name not in targets)
         raise refuse(f"missing column: expected {missing} beside {', '.join(targets)}", path, 1)
-    read_as = (f"read as rows of the series '{names[k]}'; --series says otherwise",) if len(observed) > 1 else ()
+    read_as = (
+        (f"read as rows of the series '{names[k]}'; --series says otherwise",)
+        if len(observed) > 1 and not series
+        else ()
+    )
     notes = (*measured.notes, *read_as, *_seen(calibration, measured, path), *calibration.notes)
     return replace(measured, table=measured.table.assign(split="train"), notes=notes)
 
