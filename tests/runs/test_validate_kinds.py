@@ -120,7 +120,7 @@ def test_a_socket_that_was_touched_once_shows_no_error(calibrated):
 
 
 def test_rows_are_of_the_series_that_is_named(calibrated):
-    """Fails if a file is read as another series than --series names, a name that is none passes, or a named one is told to name it."""
+    """Fails if a file is read as another series than --series names, a wrong name passes, or a right one is told to name it."""
     q = np.random.default_rng(12).uniform(ARM.LOW, ARM.HIGH, (6, 6))
     calibrated.measure(lengths(q, 13), "few.csv")
     ask = ("validate", calibrated / "runs", calibrated / "few.csv", "--series")
