@@ -18,8 +18,9 @@ from calflow.files.problems import InputError
 from calflow.measurements.measurements import Measurements
 from calflow.model import build
 from calflow.robot.formats.rigid_chain import rigid_chain, said_of_variables, urdf_text
+from calflow.robot.frames import modified_dh
 from calflow.robot.mechanism import reading_columns
-from calflow.robot.parts import Coupling
+from calflow.robot.parts import Coupling, Joint, Marker, Payload
 from calflow.robot.robot import Robot
 from robot.formats.test_urdf import ARM
 
@@ -109,6 +110,32 @@ def test_a_follower_is_exported_as_one(arm: Robot, sign: int) -> None:
     for own, place in zip(q, places, strict=True):
         pin.framesForwardKinematics(reference, there, own)
         assert_allclose(place, there.oMf[reference.getFrameId("marker_tool")].translation, atol=1e-12)
+
+
+def test_a_follower_goes_where_its_drives_yield() -> None:
+    """Fails if rods that keep a wrist level tilt it as drives wind up: against an equilibrium in plain numpy."""
+    upper, fore, out, load = 1.2, 1.0, 0.3, 80.0
+    spring = np.array([4e-6, 6e-6])
+    links = [modified_dh(alpha=-np.pi / 2), modified_dh(a=upper), modified_dh(a=fore)]
+    joints = [Joint(link, limits=(-3, 3), mass=10.0, com=(0, 0, 0), driven=k < 2) for k, link in enumerate(links)]
+    robot = Robot(
+        joints, couplings=(Coupling(3, 1, -1.0), Coupling(3, 2, -1.0)), markers={"tool": Marker((out, 0, 0))},
+        payloads={"box": Payload(load, (out, 0, 0))},
+    )  # fmt: skip
+    q = np.random.default_rng(4).uniform(-1, 1, (6, 2))
+    down = q.copy()
+    for _ in range(50):
+        first, second = down[:, 0], down.sum(axis=1)
+        weight = 9.80665 * np.array([10.0 + 10.0 + load, 10.0 + load])
+        torque = np.column_stack([weight[0] * upper * np.cos(first), 0 * first])
+        torque += (weight[1] * fore * np.cos(second))[:, None]
+        down = q + spring * torque
+    first, second = down[:, 0], down.sum(axis=1)
+    x, z = upper * np.cos(first) + fore * np.cos(second) + out, -upper * np.sin(first) - fore * np.sin(second)
+    model = build(robot, ("joint-compliance",))
+    p = np.array([*spring, 0.0])
+    rows = Measurements.from_arrays(robot, q, None, pose=np.arange(6), payload="box").stating(model.given)
+    assert_allclose(model.point(p, rows.conditions), np.column_stack([x, 0 * x, z]), atol=1e-8)
 
 
 def test_what_cannot_follow_is_refused(arm: Robot, tmp_path: Path) -> None:

@@ -40,7 +40,9 @@ class JointStep(StepChange):
         )  # fmt: skip
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
-        """Return the joints as they were before the moment, with those that follow a reading too."""
-        moved = ca.sparsify(ca.DM(self.robot.reading_matrix[:, self.robot.driven]))
+        """Return the joints as they were before the moment, with those whose angle a reading counts in too."""
+        by_reading = self.robot.reading_matrix[:, self.robot.driven]
+        by_reading[self.robot.followers] = 0.0  # they go where their drives are
+        moved = ca.sparsify(ca.DM(by_reading))
         before = self.before(row)
         return replace(still, joint=moved @ (-before * p)) if before.nnz() else still

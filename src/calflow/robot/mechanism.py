@@ -337,9 +337,9 @@ def close(side: int, pin: ca.SX, bars: ca.SX, crank_angle: ca.SX) -> Closure:
 class Deflection:
     """Small displacements that load or wear adds to the nominal mechanism [m and rad].
 
-    joint (n_joints,): added to driven joint angles; bearing (6, n_joints): a twist (dx, dy, dz, rx, ry, rz) at each
-    joint's frame; link (6, n_joints + 1): a twist at each link's end, where the next joint is, from the base to the
-    flange. A link with several joints, or none, ends in its own frame.
+    joint (n_joints,): added to joint angles, a drive's also to those that follow it; bearing (6, n_joints): a twist
+    (dx, dy, dz, rx, ry, rz) at each joint's frame; link (6, n_joints + 1): a twist at each link's end, where the next joint is,
+    from the base to the flange. A link with several joints, or none, ends in its own frame.
     """
 
     joint: ca.SX
@@ -460,7 +460,7 @@ def _graph(robot: Robot) -> ca.Function:
 def _ways(base: FrameChain, robot: Robot, symbols: _Symbols) -> Posture[FrameChain]:
     """Return the chains to all frames, starting from the base."""
     dims, deflection = symbols.dims, symbols.deflection
-    driven = symbols.q + deflection.joint
+    driven = symbols.q + ca.sparsify(ca.DM(robot.carried_on)) @ deflection.joint
     angles, closure = _chain_angles(robot, dims, driven, deflection)
     joints, ends, links = list[FrameChain](), [base.then(deflection.link[:, 0])], list[FrameChain]()
     bars: tuple[FrameChain, ...] = ()

@@ -260,6 +260,13 @@ class Robot(RobotParts):
         matrix[driven] = np.linalg.inv(self.reading_matrix[driven])
         return matrix
 
+    @cached_property
+    def carried_on(self) -> np.ndarray:
+        """Matrix by which errors of joints move all of them, (n_joints, n_joints): a follower goes where its drives really are."""
+        matrix = np.eye(self.n_joints)
+        matrix[self.followers] += self.reading_matrix[self.followers] @ self.angle_matrix
+        return matrix
+
     def past_limits(self, q: np.ndarray, by: float = 0.0) -> np.ndarray:
         """Return which joint angles (n, n_joints) [rad, or m] are past the joint's limits by more than a tolerance, or nan."""
         low, high = self.stops.T
