@@ -151,12 +151,12 @@ class Fitted:
         """The linear part of the Huber loss of outliers, beyond their down-weighted squares (Huber 1964)."""
         return 2 * HUBER**2 * float((self.outlier_factor - 1).sum())
 
-    @property
+    @cached_property
     def problem(self) -> LeastSquares:
         """The least-squares problem with robust weights and the intraclass correlation."""
         return self._problem.reweighted(self.fit.estimate, self.fit.loss)
 
-    @property
+    @cached_property
     def _problem(self) -> LeastSquares:
         return LeastSquares.of(self.model, self.data, replace(self.noise, intraclass=self.intraclass))
 

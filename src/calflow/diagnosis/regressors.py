@@ -351,7 +351,8 @@ class Regressors(Generic[H]):
             matrix=self.matrix.only(columns),
             prior_sd=self.prior_sd[columns],
             candidates=tuple(
-                Candidate(candidate.cause, np.r_[span]) for candidate, span in zip(kept, own, strict=True)
+                Candidate(candidate.cause, np.arange(span.start, span.stop))
+                for candidate, span in zip(kept, own, strict=True)
             ),
             amplitude_freedom=None if self.amplitude_freedom is None else self.amplitude_freedom[columns],
             added_up=self.products.only(columns),
