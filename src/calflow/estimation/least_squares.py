@@ -265,6 +265,12 @@ class LeastSquares:
         """Return the device's part of it."""
         return self._harmonic(unit, lambda block: block.sigma)
 
+    def discrepancy(self, unit: MeasurementUnit = METRE) -> float:
+        """Return the model's part of it, which is the same in all rows."""
+        blocks = [(block, [other == unit for other in block.observation.units]) for block in self.blocks]
+        squares = [(block.total[judged] ** 2 - block.sigma[judged] ** 2).ravel() for block, judged in blocks]
+        return float(np.sqrt(max(0.0, np.concatenate([np.zeros(1), *squares]).max())))
+
     def _harmonic(self, unit: MeasurementUnit, of: Callable[[SeriesBlock], np.ndarray]) -> float:
         every = (of(block)[[other == unit for other in block.observation.units]] for block in self.blocks)
         sizes = np.concatenate([np.zeros(0), *(rows.ravel() for rows in every)])

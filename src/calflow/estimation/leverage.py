@@ -30,7 +30,6 @@ LEAST_LEFT = 1e-3  # lower limit of a residual's variance, as a share of the row
 UNSURE = 0.05  # probability that the error at new poses exceeds its upper limit
 BY_CHANCE = 0.05  # p-value of the leave-one-out errors of a complete model, above which they show no excess
 KNOWN = 1e9  # degrees of freedom of a size that is known
-ROUNDING = 1e-9  # relative
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,8 +116,8 @@ class LeftOut:
 
     directions: effective number of those along which the parameters' errors add to them; degrees_of_freedom: those by which their
     size is known from the residuals; share: median over poses of the expected squared error; scatter [m, or another
-    unit]: standard deviation per axis about the model; device: the device's part of it; residual_freedom: degrees of freedom of
-    the residuals.
+    unit]: standard deviation per axis about the model, see `LeastSquares`; by_parameters, discrepancy: that of the error by
+    the parameters alone, and of the model beyond the device's noise; residual_freedom: degrees of freedom of the residuals.
     """
 
     sum_of_squares: float
@@ -128,7 +127,8 @@ class LeftOut:
     degrees_of_freedom: float
     share: float
     scatter: float
-    device: float
+    by_parameters: float
+    discrepancy: float
     residual_freedom: float
 
     @property
@@ -144,8 +144,8 @@ class LeftOut:
         """
         if not self.number:
             return float("nan")
-        squared = self.scatter**2 * max(self.sum_of_squares, self.expected) / self.number
-        return float(np.sqrt(3 * max(squared - self.device**2, 0.0)))
+        beyond = self.scatter**2 * max(self.sum_of_squares - self.expected, 0.0) / self.number
+        return float(np.sqrt(3 * (self.by_parameters**2 + self.discrepancy**2 + beyond)))
 
     def upper_limit(self, noise_tells: bool) -> float:
         """Return the upper 95 % confidence limit of the error at new poses [m]; nan without any.
@@ -153,8 +153,7 @@ class LeftOut:
         Its square over that of at_new_poses has an F distribution: the parameters' errors add up over a few directions, and their
         size is as uncertain as the residuals leave it. If noise_tells, a known noise determines it where there is no discrepancy.
         """
-        known = noise_tells and self.scatter <= self.device * (1 + ROUNDING)
-        freedom = KNOWN if known else self.degrees_of_freedom
+        freedom = KNOWN if noise_tells and not self.discrepancy else self.degrees_of_freedom
         return self.at_new_poses * float(np.sqrt(scipy.special.fdtri(self.directions, freedom, 1 - UNSURE)))
 
     def excess(self, level: np.ndarray | float = 1.0) -> np.ndarray:
@@ -196,7 +195,7 @@ def left_out(fit: Fit, pose: np.ndarray, unit: MeasurementUnit = METRE) -> LeftO
         unit: that of the residuals that are taken into account.
     """
     parts = list(_by_pose(fit, pose, unit))
-    squares, covered, sizes = np.concatenate([*(figures for figures, _ in parts), np.zeros((3, 0))], axis=1)
+    squares, covered, sizes, variances = np.concatenate([*(figures for figures, _ in parts), np.zeros((4, 0))], axis=1)
     number, problem = int(sizes.sum()), fit.problem
     share = float(np.median(covered / sizes)) if number else 0.0
     freedom = max(1.0, number - fit.effective_parameters)
@@ -207,14 +206,15 @@ def left_out(fit: Fit, pose: np.ndarray, unit: MeasurementUnit = METRE) -> LeftO
     of_size = max(1.0, expected**2 / float(sum(covered**2)) * freedom / number) if number else 1.0
     along = fit.covariance @ sum((gram for _, gram in parts), np.zeros_like(fit.covariance))
     directions = np.trace(along) ** 2 / np.trace(along @ along) if number else 1.0
-    scatter, device = problem.scatter(unit), problem.device(unit)
-    return LeftOut(total, expected, number, float(directions), of_size, share, scatter, device, freedom)
+    by_parameters = float(np.sqrt(max(0.0, (covered - sizes) @ variances / max(1, number))))
+    return LeftOut(total, expected, number, float(directions), of_size, share, problem.scatter(unit), by_parameters,
+                   problem.discrepancy(unit), freedom)  # fmt: skip
 
 
 def _by_pose(fit: Fit, pose: np.ndarray, unit: MeasurementUnit) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield, for poses of equal size, figures (3, n_poses) and the sum over poses of JᵀJ with the slopes J of left-out errors.
+    """Yield, for poses of equal size, figures (4, n_poses) and the sum over poses of JᵀJ with the slopes J of left-out errors.
 
-    The figures are the squared whitened leave-one-out error, its expectation, and the number of residuals.
+    The figures are the squared whitened leave-one-out error, its expectation, the number of residuals, and their variance [unit²].
     """
     for block in fit.problem.reweighted(fit.estimate, fit.loss).blocks:
         judged = np.array([other == unit for other in block.observation.units])
@@ -235,7 +235,8 @@ def _by_pose(fit: Fit, pose: np.ndarray, unit: MeasurementUnit) -> Iterator[tupl
                 missed = np.einsum("nji,nj->ni", weighed, error)
                 expected = np.einsum("nij,nij->n", spread, weighed)
                 slopes = (weighed.transpose(0, 2, 1) @ slopes).reshape(n_poses * size, -1)
-                figures = np.array([np.vecdot(missed, missed), expected, np.full(n_poses, float(size))])
+                variance = (part.total[judged] ** 2).mean(axis=0)[rows_of].mean(axis=1)
+                figures = np.array([np.vecdot(missed, missed), expected, np.full(n_poses, float(size)), variance])
                 yield figures, slopes.T @ slopes
 
 
