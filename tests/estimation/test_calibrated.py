@@ -63,3 +63,23 @@ def test_rows_that_state_no_noise_have_that_of_the_fit(source, expected):
     rows = Measurements.from_arrays(ur10(), np.zeros((2, 6)), np.ones((2, 3)), payload="load", sigma=[2e-5, 3e-5])
     assert known.noise(rows).sigma[0] == expected[0]
     assert known.noise(replace(rows, table=rows.table.drop(columns="sigma"))).sigma[1] == expected[1]
+
+
+def test_an_axis_that_only_the_prior_tells_is_untold():
+    """Fails if a direction of the tool that no measurement told goes unsaid, or one that was told is doubted."""
+    model = build(ur10(), ("geometry",))
+    told = np.where([name.startswith("E.") for name in (p.name for p in model.parameters)], 1.0, 1e-3)
+    known = CalibratedModel(
+        model,
+        model.nominal,
+        np.diag((told * model.prior_sd) ** 2),
+        np.zeros(len(told), bool),
+        (SeriesNoise(4e-5, "file", 4e-5),),
+        PerUnit(),
+        "linear",
+        ErrorModel.white(PerUnit(), len(told)),
+    )
+    upright = Measurements.from_arrays(ur10(), np.zeros((3, 6)), np.ones((3, 3)), payload="load").conditions
+    assert (known.untold_places(upright) > 0.5).all()
+    sure = replace(known, covariance=np.diag((1e-3 * model.prior_sd) ** 2))
+    assert (sure.untold_places(upright) == 0).all()

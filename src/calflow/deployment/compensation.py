@@ -23,7 +23,7 @@ from calflow.deployment.inverse_kinematics import (
     room,
 )
 from calflow.deployment.prediction import Missing, StatedModel, as_stated, of_field, rows_at
-from calflow.estimation.calibrated_model import CalibratedModel
+from calflow.estimation.calibrated_model import MOST_UNTOLD, CalibratedModel
 from calflow.estimation.needed_conditions import HOW_TO_GO_ON
 from calflow.files.deferred import Rotation, pd
 from calflow.files.problems import MOST_TOLD, Problem, nearest, refuse, refuse_any
@@ -37,7 +37,6 @@ from calflow.robot.formats.frames_file import BASE, MEASURING, TargetFrameTable
 from calflow.robot.frames import turning
 from calflow.robot.mechanism import READINGS, reading_columns, shown_readings
 
-MOST_UNTOLD = 0.5  # share of a rotation's prior variance left by the measurements, above which a note says so
 UNTOLD_ROWS = 100  # rows from which that share is estimated
 BY_ORDER = f"--in-order derives approach and travel from the order of the targets; {HOW_TO_GO_ON}"
 SAME_TRAVEL = 1e-4  # rad or m

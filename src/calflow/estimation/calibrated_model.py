@@ -31,6 +31,7 @@ PART_ROWS = 100_000  # rows whose Jacobian is evaluated at once: enough for comp
 RANK = 1e-9  # relative size below which a singular value, or what a fit leaves of a value, is rounding
 CERTAIN = 0.95  # probability of a smaller error than the nominal robot's, from which a gain is called certain
 UNMEASURED = 0.5  # posterior over prior variance of a direction, above which it was hardly measured
+MOST_UNTOLD = 0.5  # share of a variance left to the priors, from which that is said
 
 
 @dataclass(frozen=True, eq=False)
@@ -276,15 +277,22 @@ class CalibratedModel:
         return self._variances(slopes, RADIAN)
 
     def untold_turns(self, conditions: np.ndarray) -> np.ndarray:
-        """Return the share (3,) of the variance of the tool's rotation about its axes that the data leave to the priors.
+        """Return the share (3,) of the variance of the tool's rotation about its axes that the data leave to the priors."""
+        return self._untold(self.model.rotation_jacobian(self.estimate, conditions))
+
+    def untold_places(self, conditions: np.ndarray) -> np.ndarray:
+        """Return that share (3,) of the variance of positions along the measuring frame's axes."""
+        return self._untold(self.model.point_jacobian(self.estimate, conditions))
+
+    def _untold(self, slopes: np.ndarray) -> np.ndarray:
+        """Return the share (3,) of a variance that the data leave to the priors, given its slopes (n_rows, 3, n_parameters).
 
         It is the share of those directions of the parameters, scaled by their priors, whose posterior variance is more than
         UNMEASURED of the prior's; mean over the rows.
         """
         sd = self.model.prior_sd
         left, directions = np.linalg.eigh(self.covariance / np.outer(sd, sd))
-        turned = self.model.rotation_jacobian(self.estimate, conditions) @ (sd[:, None] * directions)
-        parts = (turned**2).mean(axis=0) * np.maximum(left, 0.0)
+        parts = ((slopes @ (sd[:, None] * directions)) ** 2).mean(axis=0) * np.maximum(left, 0.0)
         total = parts.sum(axis=1)
         return np.asarray(np.divide(parts[:, left > UNMEASURED].sum(axis=1), total, out=np.zeros(3), where=total > 0))
 

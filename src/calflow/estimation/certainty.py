@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 import scipy
 
-from calflow.estimation.calibrated_model import CalibratedModel
+from calflow.estimation.calibrated_model import MOST_UNTOLD, CalibratedModel
 from calflow.estimation.noise import representative
 from calflow.files.deferred import pd
 from calflow.files.tables import column
@@ -67,6 +67,10 @@ class Certainty:
         "share of the measured rows at which an error smaller than the nominal robot's is not certain (95 %)",
         default=0.0,
     )
+    untold: tuple[str, ...] = column(
+        "axes of the measuring frame along which the larger part of a position's variance is left to the priors",
+        default=(),
+    )
     expected_mm: tuple[float, ...] = column(
         "root mean square error expected at the fitted poses: then, an hour later and a day later; empty without times",
         "mm",
@@ -111,6 +115,7 @@ class Certainty:
             heights_m=(float(place[:, 2].min()), float(place[:, 2].max())), tested=len(tested), within=int(below.sum()),
             within_chance=float(scipy.special.betainc(beyond, poses - beyond + 1, 1 - PROMISED)) if beyond else 1.0,
             no_gain=float(1.0 - gained.mean()), expected_mm=then_and_later(calibrated, data),
+            untold=tuple("xyz"[k] for k in np.flatnonzero(calibrated.untold_places(some) > MOST_UNTOLD)),
             missed=missed_poses(calibrated, data, residuals, distance),
         )  # fmt: skip
 

@@ -149,6 +149,11 @@ def how_sure(material: Material) -> list[tuple[str, str]]:
     each = " Means are over all points; the figure shows the worst of each pose." if many else ""
     sentences = [("Errors:", f"measured {of_poses}.{each}"), ("Instrument:", f"{alone}.")]
     no_gain = f" {no_gain_words(material.no_gain, 'that were measured')}"
+    if no_gain.strip() and certainty.untold:
+        axes = f"{listed(certainty.untold)} of the measuring frame"
+        no_gain += (
+            f" No measurement tells where the tool is along {axes}: its error there may be any that such robots have."
+        )
     where = [("Where:", where_words(certainty) + no_gain.rstrip())] if certainty.reach_m else []
     return [*where, *sentences, ("Tested:", tested_words(certainty)), *_size(material), *_when(material)]
 
