@@ -334,9 +334,15 @@ class Model:
 
     @property
     def by_session(self) -> bool:
-        """Whether sessions have frames of their own, as the study says of a station or as was found: a further one's is unknown."""
-        stated = any(observation.series.station.by_session for observation in self.observations)
-        return stated or any("session" in effect.needs for effect in self.effects)
+        """Whether sessions have frames of their own, as the study says of a station or as was found: a further one's is unknown.
+
+        A wire whose anchor was moved between sessions leaves the frame of positions where it was.
+        """
+        series = [observation.series for observation in self.observations]
+        stated = any(each.station.by_session for each in series)
+        devices = [each.device for each in series if each.has_positions] or [each.device for each in series] or [""]
+        found = [effect for effect in self.effects if "session" in effect.needs]
+        return stated or any(effect.concerns(device) for effect in found for device in devices)
 
     def undecided(self, data: Measurements) -> np.ndarray:
         """Return the rows (n_rows,) in which the fitted rows do not tell whether some effect acts."""

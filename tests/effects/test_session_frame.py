@@ -7,7 +7,13 @@ import pandas as pd
 import pytest
 
 import calflow as cf
+from calflow.effects.session_frame import SessionFrame
+from calflow.measurements.series import Series
+from calflow.model import Model
+from calflow.observations.distance import Distance
+from calflow.observations.position import Position
 from first_steps import ARM, head
+from robots import ur10
 
 HEAD = head("tracker.toml")
 ANCHOR, SHIFT = np.array([1.6, 0.4, -0.2]), np.array([6e-4, -5e-4, 3e-4])  # m
@@ -39,3 +45,13 @@ def test_of_a_tracker_and_a_wire_the_one_that_stands_elsewhere_is_told(tmp_path,
     new = rng.uniform(ARM["LOW"], ARM["HIGH"], (50, 6))
     off = cf.Calibration.load(tmp_path / "run").predict(new).position - ARM["ball"](new)
     assert np.linalg.norm(off.mean(axis=0)) < 1e-4  # in the first day's frame
+
+
+def test_a_wire_that_was_moved_between_sessions_leaves_the_frame_of_positions():
+    """Fails if validate places a tracker anew because a wire beside it was found to be, or not where the robot was set up anew."""
+    robot = ur10()
+    tracker, wire = Position(Series()), Distance(Series.of("wire", "distance", {"anchor": (1.0, 0.0, 0.0)}))
+    for of, anew in (("wire", False), ("", True), (Series().device, True)):
+        effect = SessionFrame(robot, ("mon", "tue"), of=of)
+        assert Model(robot, (effect,), ("session",), (tracker, wire)).by_session == anew
+    assert Model(robot, (SessionFrame(robot, ("mon", "tue"), of="wire"),), ("session",), (wire,)).by_session
