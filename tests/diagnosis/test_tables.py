@@ -114,9 +114,10 @@ def test_several_orders_of_a_joint_are_one_finding_of_their_family():
 @pytest.mark.parametrize(("name", "other", "family"), [
     ("nonlinear-joint-stiffness", "torque-backlash", "nonlinear compliance of joint 2"),
     ("gear-ratio-error", "joint-eccentricity", "transmission error of joint 2"),
+    ("friction-wind-up", "joint-hysteresis", "lost motion of joint 2"),
 ])  # fmt: skip
-def test_two_curves_of_one_input_of_a_joint_are_one_finding(name, other, family):
-    """Fails if two names are told as certain of what may be one curve, or one of them is lost."""
+def test_two_forms_of_one_thing_of_a_joint_are_one_finding(name, other, family):
+    """Fails if two names are told as certain of what may be one thing in a third form, or one of them is lost."""
     (first, one), (second, two) = member(2, -90.0, name), member(3, -50.0, other)
     assert _kept_together([one.finding.cause, two.finding.cause]) == [[0, 1]]
     row = _together([first, second], [one, two])

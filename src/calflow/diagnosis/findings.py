@@ -19,7 +19,7 @@ from calflow.diagnosis.noise_model import RANGE, Growth
 from calflow.diagnosis.unexplained import POSE, UnexplainedStructure, is_any_error_along, predicted
 from calflow.diagnosis.verdict import CERTAIN, SIZE, Amplitude, Rival, Verdict, found_amplitude, named
 from calflow.effects import catalogue
-from calflow.effects.base import IN_TIME, NONLINEAR, SMOOTH_IN
+from calflow.effects.base import FORMS_OF_ONE, IN_TIME, SMOOTH_IN
 from calflow.effects.cause import Cause
 from calflow.effects.wording import (
     UNEXPLAINED,
@@ -107,7 +107,8 @@ class Finding:
     )
     numbers: tuple[int, ...] = column(
         "its numbers among the causes of the extended model, as in `curves.csv`: several where several of one family at one place "
-        "(orders of a joint, moves of the device) are one finding, whose gain is that of all of them and whose size the root of "
+        "(orders of a joint, kinds of its lost motion, moves of the device) are one finding, whose gain is that of all of them and "
+        "whose size the root of "
         "their sum of squares",
         default=(),
     )
@@ -176,12 +177,12 @@ class Finding:
     @property
     def of_family(self) -> bool:
         """Whether its family is certain but not the member: an error of one joint's angle, say, whose order is not resolved."""
-        return cause_family(self.cause) in SMOOTH_IN and self.status == "one_of" and (bool(self.kin) or not self.rivals)
+        return self._is_form and self.status == "one_of" and (bool(self.kin) or not self.rivals)
 
     @property
-    def curve_of(self) -> str:
-        """What of its joint its family's curves depend on, in words."""
-        return "torque" if cause_family(self.cause) == NONLINEAR else "angle"
+    def _is_form(self) -> bool:
+        """Whether the members of its family are forms of it: all curves of an input, or several that were found."""
+        return cause_family(self.cause) in SMOOTH_IN or len(self.numbers) > 1
 
     @property
     def kin(self) -> tuple[str, ...]:
@@ -190,7 +191,7 @@ class Finding:
         near = [rival.cause for rival in self.rivals if self._is_kin(rival)]
         elsewhere = {rival.cause for rival in self.rivals}
         more = [name for name in self.cannot_tell_from if name not in elsewhere and cause_family(name) == family]
-        return tuple(dict.fromkeys([*near, *more])) if family in SMOOTH_IN else ()
+        return tuple(dict.fromkeys([*near, *more])) if self._is_form else ()
 
     @property
     def others(self) -> tuple[NamedCause, ...]:
@@ -199,7 +200,7 @@ class Finding:
         return tuple(sorted(rivals, key=lambda rival: rival.cause == UNEXPLAINED))
 
     def _is_kin(self, rival: NamedCause) -> bool:
-        return cause_family(self.cause) in SMOOTH_IN and NamedCause(self.cause, self.joint or 0).covers(rival)
+        return self._is_form and NamedCause(self.cause, self.joint or 0).covers(rival)
 
     @property
     def name(self) -> str:
@@ -349,7 +350,7 @@ def _kept_together(causes: Sequence[Cause]) -> list[list[int]]:
     """Return the causes' indices in the order found, those of one family at one place grouped."""
     groups: dict[object, list[int]] = {}
     for k, cause in enumerate(causes):
-        groups.setdefault((cause.family, cause.joint) if cause.effect.named_in() else k, []).append(k)
+        groups.setdefault((cause.family, cause.joint) if cause.family in FORMS_OF_ONE else k, []).append(k)
     return list(groups.values())
 
 
@@ -360,7 +361,8 @@ def _together(rows: Sequence[Finding], verdicts: Sequence[Verdict]) -> Finding:
     own, *kin = map(named, causes)
     others = [named(rival) for verdict in verdicts for rival in verdict.others]
     rivals = [*(other for other in kin if other != own), *(rival for rival in others if not own.covers(rival))]
-    alike = dict.fromkeys([*(name for row in rows for name in row.cannot_tell_from), *_relatives(causes[0])])
+    kin_ids = (cause.id for cause in causes)
+    alike = dict.fromkeys([*(name for row in rows for name in row.cannot_tell_from), *_relatives(causes[0]), *kin_ids])
     # A curve's root mean square and an amplitude at the rated torque are different quantities.
     measured = cause_words(lead.cause).size
     same = [row for row in rows if (row.unit, cause_words(row.cause).size) == (lead.unit, measured)]

@@ -15,6 +15,7 @@ from calflow.diagnosis import FALSE_ALARM
 from calflow.diagnosis.cause_tables import CandidateRow
 from calflow.diagnosis.findings import Finding
 from calflow.diagnosis.stepwise import SHARES
+from calflow.effects.base import FORMS_OF_ONE, OF_THE_TOOL
 from calflow.effects.wording import (
     UNEXPLAINED,
     as_stiffness,
@@ -64,6 +65,7 @@ UNEXPLAINED_WORDS = (
 )
 SMOOTH = " Described by a smooth function of it, which has no physical meaning, {}."
 RIVALS_TOLD = 3  # rivals named with a finding
+GIVES_WAY = "The tool gives way by an amount that depends on its load"
 WANDERED = "What the instrument reports shifts in the course of the measurement"
 
 
@@ -267,8 +269,9 @@ def _what(finding: Finding) -> str:
     size = f"{words.size} {finding.amount}" if finding.unit else ""
     if finding.of_family:
         best = f"{words.name} ({finding.detail})" if finding.detail else words.name
-        turned = f"The angle of joint {finding.joint} is off by an amount that depends on the {finding.curve_of}"
-        off = turned if finding.joint else WANDERED
+        family = cause_family(finding.cause)
+        turned = f"The angle of joint {finding.joint} is off by an amount that depends on {FORMS_OF_ONE[family]}"
+        off = turned if finding.joint else GIVES_WAY if family == OF_THE_TOOL else WANDERED
         return f"{off}; best described as {best}: {size}."
     title = first_up(words.what or words.name)
     return f"{title}: {size} (1 sd)." if size and "±" in size else f"{title}{f': {size}' if size else ''}."
@@ -279,7 +282,7 @@ def name_certainty(finding: Finding) -> str:
     sentences = []
     if finding.of_family:
         kin = first_up(listed([cause_words(name).name for name in finding.kin]))
-        on = f"the joint's {finding.curve_of}" if finding.joint else "time"
+        on = FORMS_OF_ONE[cause_family(finding.cause)]
         several = " or whether it is one cause or several" if len(finding.numbers) > 1 else ""
         sentences.append(f"The data show that it depends on {on}, but do not determine its exact form{several}.")
         sentences += [f"{kin} would fit as well."] if finding.kin and not several else []
