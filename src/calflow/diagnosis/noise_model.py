@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import casadi as ca
 import numpy as np
@@ -72,6 +73,7 @@ class NoiseLevels:
 
     factors: tuple[Mapping[str, float], ...]
     p: float
+    shown_by: Literal["repeats", "residuals"] = "residuals"
 
     @property
     def words(self) -> str:
@@ -114,12 +116,12 @@ class NoiseLevels:
                 if factor > 1:
                     level = float(np.sqrt(np.mean(stated.sigma[rows] ** 2 * data.repeats[rows])))
                     yield doubt(stated.leading[k], level, factor, series=series.name, session=session,
-                                shown_by="residuals", believed=False, p=self.p)  # fmt: skip
+                                shown_by=self.shown_by, believed=False, p=self.p)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
 class ErrorSizes:
-    """ErrorSizes of errors: squares (n,) [unit²] with degrees of freedom (n,), and the noise taken to be theirs (n,) [unit].
+    """Sizes of errors: squares (n,) [unit²] with degrees of freedom (n,), and the noise taken to be theirs (n,) [unit].
 
     rows (n,): their rows; setup (n,): the numbers of their set-ups.
     """
@@ -162,8 +164,8 @@ def noise_of_repeats(fitted: Fitted) -> Growth | NoiseLevels | None:
     repeats = _of_repeats(fitted)
     if repeats is None:
         return None
-    alike = np.ones((len(repeats.rows), 1))
-    return _likelier(_growth(fitted.data, repeats, repeats), _levels(fitted, repeats, alike))
+    levels = _levels(fitted, repeats, np.ones((len(repeats.rows), 1)))
+    return _likelier(_growth(fitted.data, repeats, repeats), levels and replace(levels, shown_by="repeats"))
 
 
 def noise_of_residuals(fitted: Fitted) -> Growth | NoiseLevels | None:
@@ -214,10 +216,11 @@ def _growth(data: Measurements, tested: ErrorSizes, fitted: ErrorSizes) -> Growt
 
     Only growth within a set-up counts: of two devices the further one may be the noisier.
     """
-    if RANGE not in data.given or not len(tested.rows):
+    if RANGE not in data.given:
         return None
     distance = data.table[RANGE].to_numpy()[tested.rows]
-    seen = np.isfinite(distance)
+    if not (seen := np.isfinite(distance)).any():
+        return None
     p = []
     for sizes in (tested.only(seen), fitted.only(seen)):
         both_ways, slope = sizes.regression(distance[seen, None], sizes.setups)
@@ -228,9 +231,8 @@ def _growth(data: Measurements, tested: ErrorSizes, fitted: ErrorSizes) -> Growt
 def _levels(fitted: Fitted, sizes: ErrorSizes, beside: np.ndarray) -> NoiseLevels | None:
     """Return the noise of set-ups by the sizes of errors beside regressors (n, k); None where none is noisier than others.
 
-    A set-up that measured other poses than the others is not compared.
-
-    Of a stated noise a factor is at least 1, and what the quietest set-up leaves beyond it is no set-up's noise.
+    A set-up that measured other poses than the others is not compared. Of a stated noise a factor is at least 1, and what the quietest
+    set-up leaves beyond it is no set-up's noise.
     """
     data, device, rows = fitted.data, fitted.device, sizes.rows
     series = data.series_number[rows]
