@@ -107,8 +107,8 @@ class Finding:
     )
     numbers: tuple[int, ...] = column(
         "its numbers among the causes of the extended model, as in `curves.csv`: several where several of one family at one place "
-        "(orders of a joint, kinds of its lost motion, moves of the device) are one finding, whose gain is that of all of them and "
-        "whose size the root of "
+        "(orders of a joint, kinds of the tool's compliance, moves of the device) are one finding, whose gain is that of all of "
+        "them and whose size the root of "
         "their sum of squares",
         default=(),
     )

@@ -231,8 +231,8 @@ def _growth(data: Measurements, tested: ErrorSizes, fitted: ErrorSizes) -> Growt
 def _levels(fitted: Fitted, sizes: ErrorSizes, beside: np.ndarray) -> NoiseLevels | None:
     """Return the noise of set-ups by the sizes of errors beside regressors (n, k); None where none is noisier than others.
 
-    A set-up that measured other poses than the others is not compared. Of a stated noise a factor is at least 1, and what the quietest
-    set-up leaves beyond it is no set-up's noise.
+    A set-up that measured other poses than the others is not compared. Of a stated noise a factor is at least 1, and what the
+    quietest set-up leaves beyond it is no set-up's noise.
     """
     data, device, rows = fitted.data, fitted.device, sizes.rows
     series = data.series_number[rows]
