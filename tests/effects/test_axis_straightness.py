@@ -69,7 +69,7 @@ def test_a_carriage_moves_and_turns_the_arm_as_in_plain_numpy():
     values = {"wave1x": 2e-4, "wave2y": -1e-4, "wave3z": 3e-4, "wave1rx": 4e-5, "wave2ry": -8e-5, "wave3rz": 1e-4}
     p = np.array([values.get(parameter.symbol, 0.0) for parameter in effect.declared])
     assert np.count_nonzero(p) == 6
-    wave = np.sin(np.outer(q[:, 0] / TRAVEL + 0.05, pi * np.arange(1, 4)) / 1.1)
+    wave = np.sin(np.outer(q[:, 0] / TRAVEL + 0.215, pi * np.arange(1, 4)) / 1.43)
     off = wave[:, [0, 1, 2, 0, 1, 2]] * list(values.values())
     found = model.position(p, packed_conditions(model, q, "", "tool"))
     assert_allclose(found, points(q, off), rtol=0, atol=1e-7)
@@ -89,6 +89,19 @@ def test_a_crooked_rail_is_found():
     assert first.estimate == pytest.approx(np.sqrt(3) * 1.5e-4, rel=0.4)
     steps = told.accuracy.table[told.accuracy.table["split"] == "holdout"]["mean_mm"]
     assert steps.iloc[-1] < 0.6 * steps.iloc[-2]
+
+
+@pytest.mark.parametrize("length", [0.3, 0.1])
+def test_a_curve_is_free_at_the_ends_of_its_travel(length: float):
+    """Fails if a rail counts as straight where its travel ends: what it turns by there then looked like a base that tilts."""
+    rail = AxisStraightness(ON_A_RAIL, (0.0,) * 6, (TRAVEL, *(0.0,) * 5), length, True)
+    model = Model(ON_A_RAIL, (rail,))
+    q = np.array([[at * TRAVEL, 0, 0, 0, 0, 0] for at in (0.0, 0.5, 1.0)])
+    along = [k for k, one in enumerate(rail.declared) if one.symbol.endswith("z") and "r" not in one.symbol]
+    slope = model.position_jacobian(np.zeros(len(rail.declared)), packed_conditions(model, q, "", "tool"))[:, :, along]
+    sd = np.sqrt((slope**2 @ model.prior_sd[along] ** 2).sum(axis=1)) / rail.shift
+    assert sd[1] == pytest.approx(1.0, abs=0.1)
+    assert (sd[[0, 2]] > 0.6).all()
 
 
 def test_a_twisted_rail_is_as_twisted_as_it_is():

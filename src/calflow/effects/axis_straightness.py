@@ -22,6 +22,7 @@ LARGEST = 1e-2  # m and rad rms
 BOUND = 0.02  # m and rad
 LENGTHS = (0.3, 0.1)  # correlation lengths, as shares of the travel
 RESOLVED = 0.5  # finest wavelength resolved, as a share of the correlation length
+FREE = 0.5  # correlation lengths beyond the travel at which curves end
 DENSE = 2  # distinct positions required per correlation length
 
 
@@ -105,9 +106,19 @@ class AxisStraightness(Effect):
         travels = enumerate(zip(self.low, self.high, strict=True))
         return tuple(i for i, (low, high) in travels if high > low)
 
+    def ends(self, joint: int) -> tuple[float, float]:
+        """Return the ends of a rail's curves (joint from 0) [m], half a correlation length beyond its travel.
+
+        Beyond its ends a curve is zero. Were these the travel's own, it would be nearly zero there too, and what a rail turns by
+        from end to end would look like a base that tilts.
+        """
+        low, high = self.low[joint], self.high[joint]
+        margin = FREE * self.length * (high - low)
+        return low - margin, high + margin
+
     def _curve(self, position: ca.SX, joint: int) -> list[Wave]:
-        share = (position - self.low[joint]) / (self.high[joint] - self.low[joint])
-        return waves(share, 0.0, 1.0, self.length, RESOLVED * self.length)
+        length = self.length * (self.high[joint] - self.low[joint])
+        return waves(position, *self.ends(joint), length, RESOLVED * length)
 
     def size(self, p: ca.SX, own: Sequence[Parameter]) -> ca.SX:
         """Return the root mean square of the translation error."""

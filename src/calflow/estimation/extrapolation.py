@@ -141,7 +141,7 @@ class BeyondTravel(JointError, SmoothFunction):
 
 @dataclass(frozen=True)
 class BeyondRail(SmoothFunction):
-    """A carriage's error beyond the measured travel of its rail, low to high [m], as independent curves along and about three axes.
+    """A carriage's error beyond the ends of its rail's curves, low to high [m], as independent curves along and about three axes.
 
     length [m] is their correlation length, shift [m] and turn [rad] their standard deviations per axis.
     """
@@ -320,7 +320,7 @@ def _beyond_causes(result: Fit, data: Measurements) -> Iterator[SmoothFunction]:
 
 
 def _beyond_rail(cause: Cause, rail: AxisStraightness, result: Fit) -> BeyondRail:
-    """Return the continuation of a rail's curves past their travel, as large as these."""
+    """Return the continuation of a rail's curves past their ends, as large as these."""
     own, units = result.model.columns(cause), np.array([parameter.unit for parameter in cause.declared])
     estimate, variance = result.estimate[own], np.diag(result.covariance)[own]
     usual = np.array([parameter.prior_sd for parameter in cause.declared])
@@ -330,9 +330,9 @@ def _beyond_rail(cause: Cause, rail: AxisStraightness, result: Fit) -> BeyondRai
         return float(np.sqrt(weight @ CANDIDATE_SIZES**2))
 
     joint = cause.joint - 1
-    low, high = rail.low[joint], rail.high[joint]
+    length = rail.length * (rail.high[joint] - rail.low[joint])
     shift, turn = rail.shift * over_usual("m"), rail.turn * over_usual("rad") if rail.turning else 0.0
-    return BeyondRail(rail.robot, joint, low, high, rail.length * (high - low), shift, turn)
+    return BeyondRail(rail.robot, joint, *rail.ends(joint), length, shift, turn)
 
 
 def _wandered(sizes: SmoothVariances, causes: Sequence[Effect]) -> dict[str, float]:
