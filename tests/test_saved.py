@@ -201,6 +201,7 @@ def test_the_noise_of_a_session_is_loaded_as_it_was_saved(tmp_path):
     assert 6 < device.by_session["wed"] < 16
     assert "mon" not in device.by_session
     np.testing.assert_array_equal(loaded.noise(data).sigma, np.where(noisy, device.by_session["wed"], 1.0) * 3e-5)
+    assert loaded.noise(data).words.endswith("corrected where it is larger")
     (doubt,) = RunOutcome(loaded.results).noise_doubts
     assert doubt.session == "wed"
 

@@ -168,7 +168,7 @@ class CalibratedModel:
             sigma[rows & np.isnan(sigma)] = device.typical
         return replace(
             stated, sigma=sigma, sources=tuple(device.source for device in self.device), discrepancy=self.discrepancy,
-            intraclass=self.intraclass,
+            intraclass=self.intraclass, corrected=any(device.by_session for device in self.device),
         )  # fmt: skip
 
     def with_maps_held(self) -> tuple[CalibratedModel, tuple[Cause, ...]]:

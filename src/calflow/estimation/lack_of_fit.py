@@ -177,7 +177,7 @@ class NoiseDoubt:
             else "the fit leaves" + " only" * (way == "large")
         )
         return (f"The stated noise{where}, {rounded(self.stated)} {self.unit} per axis, is {times} times too {way}: {shown} "
-                f"{rounded(self.shown)} {self.unit}. Correct sigma.")  # fmt: skip
+                f"{rounded(self.shown)} {self.unit}{' there' * bool(self.session)}. Correct sigma.")  # fmt: skip
 
     @property
     def words(self) -> str:

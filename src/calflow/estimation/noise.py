@@ -185,7 +185,8 @@ class Noise:
     positions (None: none were measured). Where the noise of a position is anisotropic, axes (n_rows, 3, 3) holds the
     principal directions of its covariance as rows and ratios (n_rows, 3) the standard deviations along them over sigma. sources:
     origin of each series' noise; series (n_rows,): index of each row's series (None: all of the first). intraclass: correlation
-    of the errors about the model of positions measured at one standstill, axis by axis. scatter: that of repeats.
+    of the errors about the model of positions measured at one standstill, axis by axis. scatter: that of repeats. corrected:
+    whether a stated noise was too small in some rows.
     """
 
     sigma: np.ndarray
@@ -198,6 +199,7 @@ class Noise:
     ratios: np.ndarray | None = None
     series: np.ndarray | None = None
     scatter: Scatter | None = None
+    corrected: bool = False
 
     @property
     def known(self) -> bool:
@@ -285,7 +287,7 @@ class Noise:
         level = f"{unit.words(float(np.sqrt(np.mean(self.sigma[self._by_series(alike)] ** 2))))} per axis"
         return {
             "repeats": f"{level}, from repeated measurements of the fitted poses",
-            "file": f"{level}, as the measurement file states it",
+            "file": f"{level}, as the measurement file states it{', corrected where it is larger' * self.corrected}",
             "estimated": f"{level}, estimated from what the fit leaves; without repeats or a stated sigma a gap in the "
             "model looks like noise",
         }[source]
