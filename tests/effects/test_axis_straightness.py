@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from math import pi
 
+import casadi as ca
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -61,7 +62,7 @@ def measured(q: np.ndarray, off: np.ndarray, rng: np.random.Generator) -> Measur
 
 
 def test_a_carriage_moves_and_turns_the_arm_as_in_plain_numpy():
-    """Fails if an axis of the rail is another's, a turn is not about the carriage, or a wave is not what it says."""
+    """Fails if an axis of the rail is another's, a turn is not about the carriage, or a wave or its size is not what it says."""
     q = drawn(30, np.random.default_rng(1))
     low, high = (0.0,) * 6, (TRAVEL, *(0.0,) * 5)
     effect = AxisStraightness(ON_A_RAIL, low, high, 0.3, True)
@@ -71,6 +72,11 @@ def test_a_carriage_moves_and_turns_the_arm_as_in_plain_numpy():
     assert np.count_nonzero(p) == 6
     wave = np.sin(np.outer(q[:, 0] / TRAVEL + 0.215, pi * np.arange(1, 4)) / 1.43)
     off = wave[:, [0, 1, 2, 0, 1, 2]] * list(values.values())
+    at = np.linspace(0, 1, 400)
+    every = np.sin(np.outer(at + 0.215, pi * np.arange(1, 4)) / 1.43) * [2e-4, -1e-4, 3e-4]
+    every -= np.polynomial.polynomial.polyval(at, np.polynomial.polynomial.polyfit(at, every, 1)).T
+    size = float(ca.evalf(effect.size(ca.SX(p), effect.declared)))
+    assert size == pytest.approx(np.sqrt((every**2).sum(axis=1).mean()), rel=0.02)
     found = model.position(p, packed_conditions(model, q, "", "tool"))
     assert_allclose(found, points(q, off), rtol=0, atol=1e-7)
     assert np.abs(found - points(q, 0 * off)).max() > 1e-4

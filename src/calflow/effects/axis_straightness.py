@@ -9,8 +9,8 @@ from typing import Self
 import casadi as ca
 import numpy as np
 
-from calflow.effects.base import Effect, Words, joint_variable
-from calflow.effects.smooth_curve import RMS, Wave, different_positions, travel_ends, waves
+from calflow.effects.base import NOTHING, Effect, Words, joint_variable
+from calflow.effects.smooth_curve import Wave, different_positions, travel_ends, waves
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Deflection, Row, State
 from calflow.robot.parts import Parameter
@@ -22,6 +22,7 @@ LARGEST = 1e-2  # m and rad rms
 BOUND = 0.02  # m and rad
 LENGTHS = (0.3, 0.1)  # correlation lengths, as shares of the travel
 RESOLVED = 0.5  # finest wavelength resolved, as a share of the correlation length
+PLACES = 41  # on a travel, at which its size is taken
 FREE = 0.5  # correlation lengths beyond the travel at which curves end
 DENSE = 2  # distinct positions required per correlation length
 
@@ -121,8 +122,15 @@ class AxisStraightness(Effect):
         return waves(position, *self.ends(joint), length, RESOLVED * length)
 
     def size(self, p: ca.SX, own: Sequence[Parameter]) -> ca.SX:
-        """Return the root mean square of the translation error."""
-        return super().size(p, own) * RMS
+        """Return the root mean square of the translation error over the travel, less its line, which the arm's place imitates."""
+        joint, position = own[0].joint - 1, ca.SX.sym("position")
+        curve = ca.vertcat(*(wave.value for wave in self._curve(position, joint)))
+        places = np.linspace(self.low[joint], self.high[joint], PLACES)
+        line = np.linalg.qr(np.vander(places, 2))[0]
+        along = ca.Function("curve", [position], [curve])(places[None]) @ (np.eye(PLACES) - line @ line.T)
+        shifts = [k for k, parameter in enumerate(own) if parameter.unit == "m"]
+        off = ca.reshape(p[shifts], 3, curve.numel()) @ along
+        return ca.sqrt(ca.sumsqr(off) / PLACES + NOTHING)
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
         """Return the deflection with the carriages displaced."""
