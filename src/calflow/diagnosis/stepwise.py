@@ -10,8 +10,8 @@ first, and no replacement of a single cause leads back. All pairs are scored fro
 
 Verification: rivals of a large cause are fitted in its place, where the linearisation is not exact enough to exclude them.
 
-Steps that the linearisation excludes are not fitted, with an allowance of a share of what is removed and of its error in the step
-before. A step that proves worse is undone, so that at most one of each kind fails at a model.
+Steps that the linearisation excludes are not fitted, with an allowance of a share of what is removed. A step that proves worse is
+undone, so that at most one of each kind fails at a model.
 """
 
 from __future__ import annotations
@@ -256,15 +256,11 @@ def corrected_rivals(finding: Detection[H], above: Mapping[Place, float], degree
 
 @dataclass(frozen=True)
 class Proposal(Generic[H]):
-    """A proposed step: the causes, and the reason in words; added is the score of the last cause, if it is new.
-
-    expected is the increase of cost by the linearised model, None where it was not computed.
-    """
+    """A proposed step: the causes, and the reason in words; added is the score of the last cause, if it is new."""
 
     causes: list[H]
     words: str
     added: Score[H] | None = None
-    expected: float | None = None
 
 
 @dataclass(frozen=True)
@@ -299,7 +295,7 @@ class Stepwise:
         steps = _untried(self._steps(now), tried)
         while step := next(steps, None):
             self.say(step.words)
-            tried.append(_moved(now, step))
+            tried.append(now.with_causes(step.causes, step.added))
             if tried[-1].cost < now.cost + BETTER or len(step.causes) < len(now.causes):
                 now = tried[-1]
                 steps = _untried(self._steps(now), tried)
@@ -325,7 +321,7 @@ class Stepwise:
     ) -> Trial[H] | None:
         """Return the first better model reached from one of the steps; a promising trial need not be better at once."""
         for step in _untried(steps, tried):
-            tried.append(_moved(best, step))
+            tried.append(best.with_causes(step.causes, step.added))
             if _cost_apart(tried[-1]) < _cost_apart(best) or promising(tried[-1]):
                 self.say(step.words)
                 if _cost_apart(other := self.settled(tried)) < _cost_apart(best):
@@ -378,7 +374,7 @@ class Stepwise:
         if passed:
             best = trial.finest(passed[0].cause, trial.causes) or passed[0]
             message = f"{words(best.cause)}: chi2 falls by {best.drop:.4g}, p = {now.family.p(best):.2g}"
-            yield Proposal([*trial.causes, best.cause], message, best, best.cost)
+            yield Proposal([*trial.causes, best.cause], message, best)
 
 
 def _untried(steps: Iterable[Proposal[H]], tried: Sequence[Trial[H]]) -> Iterator[Proposal[H]]:
@@ -389,29 +385,19 @@ def _untried(steps: Iterable[Proposal[H]], tried: Sequence[Trial[H]]) -> Iterato
             yield step
 
 
-def _replaced(trial: Trial[H], causes: list[H], expected: float | None = None) -> Proposal[H]:
-    return Proposal(causes, _difference(trial.causes, causes), expected=expected)
+def _replaced(trial: Trial[H], causes: list[H]) -> Proposal[H]:
+    return Proposal(causes, _difference(trial.causes, causes))
 
 
 def _within_reach(trial: Trial[H], others: Iterable[list[H]]) -> Iterator[Proposal[H]]:
     """Yield the sets of causes that may be better, or not clearly worse, within the error of the linearised model.
 
-    Its error is taken as a share of what is removed, at least as much as in the step before.
+    Its error is taken as a share of what is removed.
     """
     for causes in others:
-        gone = [cause for cause in trial.causes if cause not in causes]
-        doubt = max(DOUBT * trial.linearisation.rise(gone), trial.missed)
-        expected = trial.linearisation.expected(causes)
-        if expected < WITHIN * max(1, len(trial.causes) - len(causes)) + doubt:
-            yield _replaced(trial, causes, expected)
-
-
-def _moved(trial: Trial[H], step: Proposal[H]) -> Trial[H]:
-    """Return the trial after a step, with the error of its predicted cost."""
-    moved = trial.with_causes(step.causes, step.added)
-    if step.expected is not None:  # set in place: a copy would have to compute its cost anew
-        vars(moved)["missed"] = abs(moved.cost - trial.cost - step.expected)
-    return moved
+        doubt = DOUBT * trial.linearisation.rise([cause for cause in trial.causes if cause not in causes])
+        if trial.linearisation.expected(causes) < WITHIN * max(1, len(trial.causes) - len(causes)) + doubt:
+            yield _replaced(trial, causes)
 
 
 def _difference(before: Sequence[H], after: Sequence[H]) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Generic, Self
 
@@ -150,13 +150,9 @@ class Linearisation(Generic[H]):
 
 @dataclass(frozen=True)
 class Trial(ABC, Generic[H]):
-    """A fitted model of the search.
-
-    first: screening of the model without causes; missed: difference of its cost from that predicted by the linearised model before.
-    """
+    """A fitted model of the search; first is the screening of the model without causes."""
 
     first: Screened[H]
-    missed: float = field(default=0.0, kw_only=True)
 
     @property
     @abstractmethod
