@@ -14,7 +14,7 @@ N, WAVES = 300, 7
 RNG = np.random.default_rng(3)
 PARTS = RNG.standard_normal((N, WAVES)), 0.5 * RNG.standard_normal((N, 3))
 WEIGHT = RNG.uniform(0.5, 2.0, N)
-BACKGROUND = Background((("q1",), ("time",)), (), *principal(np.eye(N), PARTS), WEIGHT, (WAVES, 3.0), 18.0, 8)
+BACKGROUND = Background((("q1",), ("time",)), (), principal(np.eye(N), PARTS), WEIGHT, 18.0, 8)
 JACOBIAN, PRECISION, PULL = (
     RNG.standard_normal((N, 4)),
     np.array([1e-6, 0.3, 2.0, 1e-6]),
@@ -62,12 +62,3 @@ def test_tests_are_those_by_the_covariance(factor):
     assert one.scores[0].estimate == pytest.approx(other.scores[0].estimate)
     assert one.scores[0].covariance == pytest.approx(other.scores[0].covariance)
     assert one.scores[0].cost == pytest.approx(other.scores[0].cost, abs=1e-6)
-
-
-def test_what_a_part_makes_uncertain_is_as_sure_as_its_size():
-    """Fails if an amplitude that only a badly known background makes uncertain counts as if all rows told its variance."""
-    outside = np.linalg.svd(np.hstack([*PARTS, JACOBIAN]))[0][:, -1]
-    matrix = np.column_stack([30 * PARTS[1][:, 0], outside])
-    sure = Screening(linearised(matrix, np.zeros(N)).beside(BACKGROUND, WEIGHT)).amplitude_freedom
-    assert sure[0] < 6
-    assert sure[1] == pytest.approx(N, rel=0.01)

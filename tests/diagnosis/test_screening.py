@@ -92,7 +92,7 @@ def test_sums_without_a_parameter_are_those_of_the_rows(regressors):
     """Fails if what was added up once is not what the rows of the model without some parameters add up to."""
     rng = np.random.default_rng(6)
     modes = np.linalg.qr(rng.standard_normal((len(regressors.residual), 3)))[0]
-    background = Background((), (), modes, (), np.ones(len(modes)), (), 18.0, 8)
+    background = Background((), (), modes, np.ones(len(modes)), 18.0, 8)
     whole = regressors.beside(background, background.weight)
     less = whole.without(np.array([1, 4]), np.array([2e-3, -1e-3]))
     for one, other in zip(vars(less.products).values(), vars(RegressorProducts.of(less)).values(), strict=True):

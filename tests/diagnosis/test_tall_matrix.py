@@ -36,7 +36,7 @@ def linearised():
     )
     together = replace(asked, blocks=tuple(blocks))
     modes = np.linalg.qr(rng.standard_normal((asked.size, 4)))[0]
-    background = Background((("q1",),), (), 3.0 * modes, (np.eye(4),), asked.weight, (4.0,), 18.0, 8)
+    background = Background((("q1",),), (), 3.0 * modes, asked.weight, 18.0, 8)
 
     def at(beside: bool, causes: Sequence[str] = TESTED) -> Regressors:
         problem = together if beside else asked

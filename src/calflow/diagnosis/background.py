@@ -307,9 +307,8 @@ class Sizes:
         return Background(
             tuple(self.basis.kinds[k][0] for k in kept),
             tuple(function for k in kept for function in self.basis.kinds[k][1]),
-            *principal(self.modes, [self.basis.parts[k] * np.sqrt(variance[k]) for k in kept]),
+            principal(self.modes, [self.basis.parts[k] * np.sqrt(variance[k]) for k in kept]),
             self.problem.weight,
-            tuple(map(float, self.components.degrees_of_freedom(variance)[kept])),
             self.components.cost(np.zeros(len(variance))) - self.components.cost(variance),
             len(variance),
         )

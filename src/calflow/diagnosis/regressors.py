@@ -84,17 +84,13 @@ class Background:
     """Errors that no cause explains: random smooth functions of inputs, standard normal times their effects.
 
     inputs: inputs of each part; functions: basis functions of all parts; effects (n, n_modes): principal effects on the residuals,
-    whitened by weight (n,); parts: effects of each part's functions in these, (n_modes, n_waves), of all parts together with
-    orthonormal rows; degrees_of_freedom (n_parts,):
-    those of the variances; gain: twice the log-likelihood that all parts add; tried: number of parts that were considered.
+    whitened by weight (n,); gain: twice the log-likelihood that all parts add; tried: number of parts that were considered.
     """
 
     inputs: tuple[tuple[str, ...], ...]
     functions: tuple[Effect, ...]
     effects: np.ndarray
-    parts: tuple[np.ndarray, ...]
     weight: np.ndarray
-    degrees_of_freedom: tuple[float, ...]
     gain: float
     tried: int
 
@@ -103,35 +99,16 @@ class Background:
         ratio = weight / self.weight
         return np.asarray((ratio / np.median(ratio))[:, None] * self.effects)
 
-    def amplitude_freedom(self, taken: np.ndarray, visible: np.ndarray, of_noise: float) -> np.ndarray:
-        """Return the degrees of freedom of the variance of each column's amplitude, shape (n_columns,) (Satterthwaite 1946).
 
-        Where a background dominates whose variance rests on few waves, they are far fewer than the rows.
-
-        Args:
-            taken: amplitudes of the effects that imitate each column beside the model, (n_modes, n_columns).
-            visible: what remains of each column's sum of squares, (n_columns,).
-            of_noise: degrees of freedom of the noise's variance.
-        """
-        whole = np.maximum(visible, np.finfo(float).tiny)
-        every = (taken**2).sum(axis=0) / whole
-        others = [((waves.T @ taken) ** 2).sum(axis=0) / whole for waves in self.parts[1:]]
-        # The functions of all parts together are orthonormal: those of the first, the most, take what the others leave.
-        shares = np.array([every - sum(others), *others])
-        unsure = (shares.T**2 / self.degrees_of_freedom).sum(axis=1)
-        return np.asarray(1 / (unsure + np.maximum(1 - every, 0.0) ** 2 / of_noise))
-
-
-def principal(modes: np.ndarray, parts: Sequence[np.ndarray]) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
-    """Return the principal effects of all parts of a background, and each part's functions in these (see `Background`).
+def principal(modes: np.ndarray, parts: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the principal effects of all parts of a background (see `Background`).
 
     Args:
         modes: orthonormal directions of the whitened residuals (n, n_modes).
         parts: effects of each part's functions along them, (n_modes, n_waves), over the noise's standard deviation.
     """
-    left, value, waves = np.linalg.svd(np.hstack(parts), full_matrices=False)
-    kept, ends = value**2 > SMALL_MODE, np.cumsum([part.shape[1] for part in parts])
-    return modes @ (left * value)[:, kept], tuple(np.split(waves[kept], ends[:-1], axis=1))
+    left, value, _ = np.linalg.svd(np.hstack(parts), full_matrices=False)
+    return np.asarray(modes @ (left * value)[:, value**2 > SMALL_MODE])
 
 
 Rows = slice | np.ndarray
@@ -194,14 +171,12 @@ class RegressorProducts:
     """Inner products over all rows that tests need, computed once for a model and the submodels without some of its parameters.
 
     fitted (n_free, n_free): Jacobian with itself; mixed (n_free, n_columns): Jacobian with regressors; own (n_columns, widest):
-    each regressor with those of its candidate; squared (n_columns,): each regressor with itself; fitted_left (n_free,), left
-    (n_columns,): Jacobian and regressors with the residual.
+    each regressor with those of its candidate; fitted_left (n_free,), left (n_columns,): Jacobian and regressors with the residual.
     """
 
     fitted: np.ndarray
     mixed: np.ndarray
     own: np.ndarray
-    squared: np.ndarray
     fitted_left: np.ndarray
     left: np.ndarray
 
@@ -210,23 +185,20 @@ class RegressorProducts:
         """Return the products of the residual (n,), the Jacobian (n, n_free) and the regressors (n, n_columns)."""
         residual, jacobian = regressors.residual, regressors.jacobian
         gram = np.zeros((regressors.matrix.shape[1], max((len(c.columns) for c in regressors.candidates), default=0)))
-        squared, left, mixed = np.zeros(len(gram)), np.zeros(len(gram)), np.zeros((jacobian.shape[1], len(gram)))
+        left, mixed = np.zeros(len(gram)), np.zeros((jacobian.shape[1], len(gram)))
         for rows, values in regressors.matrix.blocks():
             for candidate in regressors.candidates:
                 columns = candidate.columns
                 x = values[:, side_by_side(columns)]
-                product = x.T @ x
-                gram[columns, : len(columns)] += product
-                squared[columns] += product.diagonal()
+                gram[columns, : len(columns)] += x.T @ x
             mixed += jacobian[rows].T @ values
             left += values.T @ residual[rows]
-        return RegressorProducts(jacobian.T @ jacobian, mixed, gram, squared, jacobian.T @ residual, left)
+        return RegressorProducts(jacobian.T @ jacobian, mixed, gram, jacobian.T @ residual, left)
 
     def only(self, columns: np.ndarray) -> RegressorProducts:
         """Return the products of some regressors."""
         kept = side_by_side(columns)
-        own, squared, left = self.own[kept], self.squared[kept], self.left[kept]
-        return replace(self, mixed=self.mixed[:, kept], own=own, squared=squared, left=left)
+        return replace(self, mixed=self.mixed[:, kept], own=self.own[kept], left=self.left[kept])
 
     def without(self, gone: np.ndarray, value: np.ndarray) -> RegressorProducts:
         """Return the products with some free parameters (by index) removed, whose estimates are value."""
@@ -245,9 +217,9 @@ class Regressors(Generic[H]):
     """The whitened regressors of all candidates, with the residual and Jacobian of the model.
 
     residual (n,), jacobian (n, n_free), precision (n_free,): the fit's, with its priors; pull (n_free,): the priors' part of the
-    gradient; matrix (n, n_columns): regressors, with prior_sd (n_columns,); background: errors that rows share (None: independent
-    errors), and random (n_modes,): indices of its amplitudes among the free parameters; amplitude_freedom (n_columns,): degrees of
-    freedom of the variance of each column's amplitude, where the background does not determine them; posed: share of the residuals
+    gradient; matrix (n, n_columns): regressors, with prior_sd (n_columns,); random (n_modes,): indices of a background's amplitudes
+    among the free parameters; amplitude_freedom (n_columns,): degrees of
+    freedom of the variance of each column's amplitude, where errors are correlated without one; posed: share of the residuals
     that remains if at most six per pose count; added_up: the products, where they follow from others.
     """
 
@@ -259,7 +231,6 @@ class Regressors(Generic[H]):
     matrix: TallMatrix
     prior_sd: np.ndarray
     candidates: tuple[Candidate[H], ...]
-    background: Background | None = None
     random: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=int))
     amplitude_freedom: np.ndarray | None = None
     posed: float = 1.0
@@ -324,7 +295,7 @@ class Regressors(Generic[H]):
         """Return the model beside a background, with whitening factors (n,) of the residuals."""
         effects, n = background.at(weight), len(self.precision)
         more = self.with_parameters(effects, np.ones(effects.shape[1]))
-        return replace(more, background=background, random=np.arange(n, len(more.precision)))
+        return replace(more, random=np.arange(n, len(more.precision)))
 
     def without(self, columns: np.ndarray, value: np.ndarray) -> Regressors[H]:
         """Return the regressors of the model with some free parameters (by index) removed, whose estimates are value."""

@@ -318,20 +318,6 @@ class Screening(Generic[H]):
         return float(2 * np.log(self._factor.diagonal()).sum() - np.log(self.regressors.precision).sum())
 
     @cached_property
-    def amplitude_freedom(self) -> np.ndarray:
-        """Degrees of freedom of the variance of each column's amplitude; the number of residuals where they are independent."""
-        r, n = self.regressors, len(self.regressors.residual)
-        if r.amplitude_freedom is not None:
-            return r.amplitude_freedom
-        if r.background is None:
-            return np.full(r.matrix.shape[1], float(n))
-        visible = r.products.squared - np.einsum("pc,pc->c", self._projected, self._projected)
-        first = r.random.min(initial=len(r.precision))  # those before have no part in what is solved for last
-        root, imitated = self._factor[first:, first:].T, self._projected[first:]
-        taken = -scipy.linalg.solve_triangular(root, imitated, lower=False)[r.random - first]
-        return r.background.amplitude_freedom(taken, visible, float(n))
-
-    @cached_property
     def _blocks(self) -> list[_Block]:
         sizes = np.array([len(candidate.columns) for candidate in self.regressors.candidates])
         blocks = []
@@ -361,9 +347,11 @@ class Screening(Generic[H]):
         """Every visible candidate's score, best first."""
         scores = []
         for block in self._blocks:
-            # The median serves few columns, which are alike, and many, of which no single one matters.
-            freedom = np.median(self.amplitude_freedom[block.columns], axis=1)
-            left = np.maximum(np.minimum(freedom, self.degrees_of_freedom - block.degrees_of_freedom), 1.0)
+            left = self.degrees_of_freedom - block.degrees_of_freedom
+            if (freedom := self.regressors.amplitude_freedom) is not None:
+                # The median serves few columns, which are alike, and many, of which no single one matters.
+                left = np.minimum(np.median(freedom[block.columns], axis=1), left)
+            left = np.maximum(left, 1.0)
             weighed = self._weighed(block, self.score[block.columns, None], np.array([self.chi2]))
             p = f_test(weighed.squared[:, 0], self.chi2, block.degrees_of_freedom, self.degrees_of_freedom, left)
             drops, cost = weighed.drops[:, 0], weighed.cost[:, 0]

@@ -362,9 +362,8 @@ class Standstills:
         if not len(self.joints) or self.functions.shape[1] < self.fitted.problem.size:
             return None
         here = self._first + self.joints
-        modes, triangle = np.linalg.qr(np.hstack([*self.functions[self.joints]]))
-        parts = np.sqrt(self.variance[here])[:, None, None] * np.split(triangle, len(here), axis=1)
-        freedom = self.components.degrees_of_freedom(self.variance)[here]
-        inputs, tried = tuple((POSE, f"q{k + 1}") for k in self.joints), len(self.reach)
-        weight = self.fitted.problem.weight
-        return Background(inputs, (), *principal(modes, parts), weight, tuple(freedom), 0.0, tried)
+        modes, triangle = np.linalg.qr(
+            np.hstack([*np.sqrt(self.variance[here])[:, None, None] * self.functions[self.joints]])
+        )
+        inputs = tuple((POSE, f"q{k + 1}") for k in self.joints)
+        return Background(inputs, (), principal(modes, [triangle]), self.fitted.problem.weight, 0.0, len(self.reach))
