@@ -1,4 +1,4 @@
-"""Rivals of a spring are weighed where it does not give way."""
+"""A rival of a spring must act where that does not give way."""
 
 from __future__ import annotations
 
@@ -19,12 +19,7 @@ def test_a_spring_at_its_bound_of_zero_is_weighed():
     first = Linearisation.at(known, every).screened(np.random.default_rng(1))
     trial = FittedTrial(first, known, every)
     (finding,) = trial.findings
-    near = [
-        score
-        for score in finding.scores
-        if score.cause.place != bending.place and score.cost < finding.cost + 2 * REACH
-    ]
-    assert near
-    weighed = trial.weighed_in_place(finding)
+    assert any(score.cause.place != bending.place and score.cost < finding.cost + 2 * REACH for score in finding.scores)
+    weighed = trial.with_acting_rivals(finding)
     assert weighed.own == finding.own
     assert {score.cause for score in weighed.scores} <= {score.cause for score in finding.scores}

@@ -35,7 +35,7 @@ class Seen:
         """The best form in the place of what is gone."""
         return self.forms.get((cause.id, len(gone)), cause)
 
-    def weighed_in_place(self, finding):
+    def with_acting_rivals(self, finding):
         """What a rival does here depends on no other cause."""
         return finding
 

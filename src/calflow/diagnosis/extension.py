@@ -112,33 +112,19 @@ class FittedTrial(Trial[Cause]):
         if set(now) != set(self.causes):
             yield now
 
-    def weighed_in_place(self, finding: Detection[Cause]) -> Detection[Cause]:
-        """Return a finding with its near rivals scored at zero amplitude of the cause.
+    def with_acting_rivals(self, finding: Detection[Cause]) -> Detection[Cause]:
+        """Return a finding without the rivals that do nothing where its cause is zero.
 
-        A mass moves the tool through a spring: linearised beside the bending that it is to replace, it seems to explain the same,
-        but without any spring it has no effect. A candidate without effect there is no rival.
+        A mass moves the tool through a spring: beside the bending that it is to replace, it seems to explain the same, but without
+        any spring it has no effect.
         """
-        cause, fitted, limit = finding.cause, self.fitted, finding.cost + 2 * REACH
-        near = {score.cause: score for score in finding.scores if finding.places[score.cause.place][0] < limit}
-        near = {rival: score for rival, score in near.items() if rival.place != cause.place}
-        if not near:
+        cause, limit = finding.cause, finding.cost + 2 * REACH
+        if all(place == cause.place or cost > limit for place, (cost, _) in finding.places.items()):
             return finding
-        apart = self.linearisation.apart([cause]).regressors
-        # Not apart: at zero, an amplitude may be at its bound, which has no column.
-        still = Linearisation.at(fitted, self.catalogue, cause).regressors
-        candidates = [candidate for candidate in apart.candidates if candidate.cause in near]
-        moving = still.matrix.only(
-            np.concatenate([np.zeros(0, dtype=int), *(candidate.columns for candidate in candidates)])
-        )
-        apart = apart.only(candidates)
-        beside = {score.cause: score.cost for score in Screening(apart).scores}
-        in_place = [
-            replace(score, cost=near[score.cause].cost + score.cost - beside[score.cause])
-            for score in Screening(apart.moving(moving)).scores
-            if score.cause in beside
-        ]
-        others = [score for score in finding.scores if score.cause not in near]
-        return replace(finding, scores=tuple(sorted([*others, *in_place], key=lambda score: score.cost)))
+        # Not without the cause: at zero, an amplitude may be at its bound, which has no column.
+        still = Linearisation.at(self.fitted, self.catalogue, cause).regressors
+        silent = {other.cause for other in still.candidates if not still.products.own[other.columns].any()}
+        return replace(finding, scores=tuple(score for score in finding.scores if score.cause not in silent))
 
     def with_form_errors(self, finding: Detection[Cause]) -> Detection[Cause]:
         """Return a finding with its near rivals weighed with form errors."""

@@ -222,7 +222,7 @@ def doubted(best: Trial[H]) -> Iterator[list[H]]:
 def verified(best: Trial[H], tried: Sequence[Trial[H]]) -> tuple[Detection[H], ...]:
     """Return the findings, with the evidence of rivals from fits in a cause's place, where there were such, and form errors."""
     detections = []
-    for finding in map(best.weighed_in_place, best.findings):
+    for finding in map(best.with_acting_rivals, best.findings):
         stay = [cause for cause in best.causes if cause != finding.cause]
         above = {
             score.cause.place: min(fitted)

@@ -182,8 +182,8 @@ class Trial(ABC, Generic[H]):
         finest = self.finest(cause, [other for other in self.causes if other not in gone], FINER_STEPS)
         return finest.cause if finest else cause
 
-    def weighed_in_place(self, finding: Detection[H]) -> Detection[H]:
-        """Return a finding with its near rivals scored at zero amplitude of the cause, where they may have no effect."""
+    def with_acting_rivals(self, finding: Detection[H]) -> Detection[H]:
+        """Return a finding without the rivals that do nothing where its cause is zero."""
         return finding
 
     def with_form_errors(self, finding: Detection[H]) -> Detection[H]:
