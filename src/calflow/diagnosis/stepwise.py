@@ -5,8 +5,7 @@ on a joint are often one curve, successive steps one drift. No replacement of on
 explain their parts.
 
 Exchange: two causes at once in the place of others. Similar causes mask each other: a third that explains most of both is found
-first, and no replacement of a single cause leads back. All pairs are scored from the linearisation of single causes (see
-`screening`).
+first, and no replacement of a single cause leads back.
 
 Verification: rivals of a large cause are fitted in its place, where the linearisation is not exact enough to exclude them.
 
@@ -16,19 +15,16 @@ undone, so that at most one of each kind fails at a model.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import chain, combinations
 from typing import Any, Generic
 
 import numpy as np
 
 from calflow.diagnosis.regressors import H, Place
-from calflow.diagnosis.screening import Family, Score, Screening, by_place
+from calflow.diagnosis.screening import Family, Score, by_place
 from calflow.diagnosis.trial import Detection, Trial, is_new
-from calflow.estimation.variance_components import LOG_PRIOR, SIZES, directions, explained, log_likelihood, mixed
 
 WITHIN = 10.0  # cost: closer rivals are not distinguished (Kass and Raftery 1995: "very strong" beyond)
 REACH = 7.0  # log odds against a model in reach, at most: a probability of 0.1 %
@@ -36,7 +32,7 @@ PATIENCE = 3  # models with causes at the same places that may fail to improve o
 BETTER = 1.0  # least decrease of cost that counts as an improvement
 SHARES = {"causes": 0.7, "unexplained": 0.2, "noise": 0.1}  # of the false-alarm rate
 FEW_COLUMNS = 4  # parameters of a candidate at most: error maps have rivals of their own
-BEST_VARIANTS = 8  # variants of one place, the best
+BEST_PLACES = 8  # places of which one cause of a pair is, the best
 SPLIT = 10.0  # least decrease of cost for two causes in place of one (Kass and Raftery 1995: "very strong")
 DOUBT = 0.05  # relative error of a linear comparison with a rival, as a share of the cause's evidence
 CLEAR = 0.1  # share of the false-alarm rate below which the correction need not be recomputed: it grows twofold at most
@@ -109,86 +105,6 @@ def merged(trial: Trial[H]) -> Iterator[list[H]]:
         alike = [score for score in scores if (score.cause.family, score.cause.joint) == (family, joint)]
         for _, best in sorted(by_place(alike).values(), key=lambda scored: scored[0]):
             yield [*stay, best.cause]
-
-
-@dataclass(frozen=True)
-class Exchange(Generic[H]):
-    """All pairs of candidates of few parameters in the place of one or two causes, gone."""
-
-    screening: Screening[H]
-    family: Family
-    gone: Sequence[H]
-    scores: tuple[Score[H], ...]
-
-    @staticmethod
-    def of(screening: Screening[H], family: Family, gone: Sequence[H]) -> Exchange[H]:
-        """Return the exchange with the best variants of every place, and the removed causes."""
-        seen: Counter[Place] = Counter()
-        few = []
-        for score in screening.scores:
-            seen[score.cause.place] += 1
-            best = seen[score.cause.place] <= BEST_VARIANTS and len(score.candidate.columns) <= FEW_COLUMNS
-            if best or score.cause in gone:
-                few.append(score)
-        return Exchange(screening, family, gone, tuple(few))
-
-    def alone(self) -> Score[H] | None:
-        """Return the best candidate that explains the data better than the two removed causes together, if there is one."""
-        return self.scores[0] if len(self.gone) == 2 and self.scores and self.scores[0].cost < self._now else None
-
-    def better(self) -> Iterator[tuple[float, H, H]]:
-        """Yield the cost and the causes of pairs at different places that are better than the removed causes, best first."""
-        limit = self._now - self.family.material * self.screening.degrees_of_freedom
-        first, second = self._pairs
-        places = [score.cause.place for score in self.scores]
-        for k in np.argsort(self.costs, kind="stable"):
-            if not self.costs[k] < limit:
-                return
-            if places[first[k]] != places[second[k]]:
-                yield float(self.costs[k]), self.scores[first[k]].cause, self.scores[second[k]].cause
-
-    @property
-    def _pairs(self) -> tuple[np.ndarray, np.ndarray]:
-        """The numbers of the candidates of each pair, (n_pairs,) each."""
-        return np.triu_indices(len(self.scores), 1)
-
-    @property
-    def _now(self) -> float:
-        """Cost of the removed causes, of a single one less SPLIT; minus infinity where one is not testable here."""
-        at = [k for k, score in enumerate(self.scores) if score.cause in self.gone]
-        if len(at) < len(self.gone):
-            return -np.inf
-        single = self.scores[at[0]].cost - SPLIT
-        return single if len(at) == 1 else float(self.costs[np.all(np.transpose(self._pairs) == at, axis=1)][0])
-
-    @cached_property
-    def costs(self) -> np.ndarray:
-        """Cost of each pair, (n_pairs,), both at their likeliest sizes alone, at the cost of averaging over sizes instead."""
-        screening, chi2, freedom = self.screening, self.screening.chi2, self.screening.degrees_of_freedom
-        columns = np.zeros((len(self.scores), FEW_COLUMNS), dtype=int)
-        sd = np.zeros(columns.shape)  # padded with zeros, which do not affect the evidence
-        for k, span in enumerate(score.candidate.columns for score in self.scores):
-            columns[k, : len(span)], sd[k, : len(span)] = span, screening.regressors.prior_sd[span]
-        used, which = np.unique(columns, return_inverse=True)
-        which, information = which.reshape(columns.shape), screening.information(used)
-
-        def taken(which: np.ndarray, sd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            whole = information[which[:, :, None], which[:, None]]
-            whole *= sd[:, :, None]
-            whole *= sd[:, None]
-            return whole, screening.score[used[which]] * sd
-
-        fallen, narrowed = explained(*directions(*taken(which, sd)))
-        logs = log_likelihood(fallen / chi2, narrowed, freedom)
-        best = np.argmax(logs + LOG_PRIOR[:, None], axis=0)
-        variants = [screening.variants[score.cause.place] for score in self.scores]
-        spent = 2 * (logs[best, np.arange(len(best))] - mixed(logs) + np.log(variants))
-        first, second = self._pairs
-        whole, score = taken(*(np.hstack([part[first], part[second]]) for part in (which, sd * SIZES[best, None])))
-        whole += np.eye(2 * FEW_COLUMNS)
-        drop = np.vecdot(score, np.linalg.solve(whole, score[:, :, None])[:, :, 0])
-        logs = log_likelihood(drop / chi2, np.linalg.slogdet(whole)[1], freedom)
-        return np.asarray(-2 * logs + spent[first] + spent[second])
 
 
 def doubtful(finding: Detection[H]) -> list[Score[H]]:
@@ -335,16 +251,33 @@ class Stepwise:
         return all(map(self.acceptance.keeps, trial.own_findings))
 
     def exchanges(self, trial: Trial[H]) -> Iterator[Proposal[H]]:
-        """Yield the causes with two replaced by one or two, or one by two, where that explains the data better."""
+        """Yield the causes with two replaced by one or two, or one by two, where that explains the data better.
+
+        Of pairs one cause is among the best in the place of what goes, and the other the best beside it.
+        """
         small = [cause for cause in trial.causes if cause.n_parameters <= FEW_COLUMNS][-ENTANGLED:]
         for gone in (*combinations(small, 2), *combinations(small, 1)):
-            exchange = Exchange.of(trial.linearisation.apart(gone), trial.first.family, gone)
-            stay = [cause for cause in trial.causes if cause not in gone]
-            if (single := exchange.alone()) and self.acceptance.accepts(single, trial.first.family):
-                yield _replaced(trial, [*stay, single.cause])
-            pairs = ([*stay, *pair] for _, *pair in exchange.better() if len(stay) + 2 <= self.acceptance.most)
-            if better := next((causes for causes in pairs if self._significant(trial, causes)), None):
-                yield _replaced(trial, better)
+            stay, linear = [cause for cause in trial.causes if cause not in gone], trial.linearisation
+            singles = [score for score in linear.apart(gone).scores if len(score.candidate.columns) <= FEW_COLUMNS]
+            now, best = -linear.rise(gone), next(iter(singles), None)
+            if best and len(gone) == 2 and best.cost < now and self.acceptance.accepts(best, trial.first.family):
+                yield _replaced(trial, [*stay, best.cause])
+            if len(stay) + 2 > self.acceptance.most:
+                continue
+            limit = now if len(gone) == 2 else now - SPLIT
+            firsts = sorted(by_place(singles).values(), key=lambda scored: scored[0])[:BEST_PLACES]
+            pairs = sorted(self._pairs(trial, stay, [first for _, first in firsts]), key=lambda pair: pair[0])
+            better = (pair for cost, pair in pairs if cost < limit and set(pair) != set(trial.causes))
+            if pair := next((pair for pair in better if self._significant(trial, pair)), None):
+                yield _replaced(trial, pair)
+
+    def _pairs(self, trial: Trial[H], stay: list[H], firsts: Sequence[Score[H]]) -> Iterator[tuple[float, list[H]]]:
+        """Yield the causes with each of some candidates added, and the best beside it, and what both cost, linear."""
+        for first in firsts:
+            seconds = trial.linearisation.tested_with([*stay, first.cause]).scores
+            second = next((score for score in seconds if len(score.candidate.columns) <= FEW_COLUMNS), None)
+            if second and second.cause.place != first.cause.place:
+                yield first.cost + second.cost, [*stay, first.cause, second.cause]
 
     def _significant(self, trial: Trial[H], causes: list[H]) -> bool:
         """Whether each of the last two causes, which are new, is significant beside the others."""
