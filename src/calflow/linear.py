@@ -19,7 +19,7 @@ from calflow.diagnosis import FALSE_ALARM
 from calflow.diagnosis.regressors import Candidate, Regressors, TallMatrix
 from calflow.diagnosis.screening import Family, Score
 from calflow.diagnosis.serial_errors import LikelyErrors, RestrictedLikelihood, RowOrder
-from calflow.diagnosis.stepwise import CLEAR, SPLIT, CauseAcceptance, Stepwise, verified
+from calflow.diagnosis.stepwise import CLEAR, SPLIT, CauseAcceptance, Stepwise
 from calflow.diagnosis.trial import Detection, Linearisation, Screened, Trial
 from calflow.diagnosis.verdict import verdict
 from calflow.estimation.progress import nobody
@@ -497,9 +497,7 @@ def diagnose_linear(
     )
     search = _searched(problem, CauseAcceptance(false_alarm, most), rng)
     unnamed = _serial_costs(search.best)
-    detections = [
-        replace(detection, unnamed=unnamed[detection.cause]) for detection in verified(search.best, search.tried)
-    ]
+    detections = [replace(detection, unnamed=unnamed[detection.cause]) for detection in search.best.findings]
     return LinearDiagnosis(
         tuple(map(_finding, detections)),
         tuple(dict.fromkeys(block.name for block in candidates if block.name not in _visible(search.best))),
@@ -518,11 +516,10 @@ def _visible(trial: Trial[Block]) -> set[str]:
 
 @dataclass(frozen=True)
 class Search:
-    """A stepwise search: its initial model, the best model, and all models tried."""
+    """A stepwise search: its initial model, and the best model."""
 
     start: LinearTrial
     best: LinearTrial
-    tried: Sequence[Trial[Block]]
 
     @staticmethod
     def of(problem: LinearProblem, acceptance: CauseAcceptance, rng: np.random.Generator, *blocks: Block) -> Search:
@@ -530,8 +527,8 @@ class Search:
         bare = LinearTrial(Screened((), Family({}, 1.0), len(problem.residual)), problem, rng)
         start = replace(bare, first=bare.linearisation.screened(rng))
         further = [start.with_causes(blocks)] if blocks else []
-        best, tried = Stepwise(acceptance, rng, nobody, nobody).best(start, *further)
-        return Search(start, start.with_causes(best.causes), tried)
+        best = Stepwise(acceptance, rng, nobody, nobody).best(start, *further)
+        return Search(start, start.with_causes(best.causes))
 
 
 def _searched(problem: LinearProblem, acceptance: CauseAcceptance, rng: np.random.Generator) -> Search:

@@ -173,7 +173,7 @@ def test_a_search_begins_once_from_each_set_of_causes(monkeypatch, data, found):
         start(data), Catalogue.of(data, ("geometry",), TESTED), GATE, np.random.default_rng(1), lambda _: None
     )
     causes, searches = extended.fitted.causes[:found], []
-    again = replace(extended, best=extended.best.with_causes(causes))
+    again = extended.with_causes(causes)
     monkeypatch.setattr(extension_module, "_weakest", lambda fitted, *more: next(iter(fitted.causes), None))
     monkeypatch.setattr(extension_module, "_searched", lambda _, beside, *more: searches.append(beside.causes) or again)
     catalogue_ = Catalogue.of(data, ("geometry",), TESTED)
@@ -190,7 +190,7 @@ def test_a_search_that_finds_nothing_that_stays_is_not_repeated(monkeypatch, dat
     )
     first, second = found.fitted.causes
     smooth, searches = cause("gear-ratio-error", "joint4"), []
-    again = replace(found, best=found.best.with_causes([first, smooth]))
+    again = found.with_causes([first, smooth])
     monkeypatch.setattr(extension_module, "_weakest", lambda fitted, *_: smooth if smooth in fitted.causes else None)
     monkeypatch.setattr(extension_module, "_named_instead", lambda *_: None)
     monkeypatch.setattr(extension_module, "_searched", lambda _, beside, *more: searches.append(beside.causes) or again)

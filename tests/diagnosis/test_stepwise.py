@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
@@ -20,10 +20,14 @@ Path = Callable[[int], tuple[tuple[str, ...], float]]
 
 @dataclass(frozen=True)
 class Wandering(Trial[Block]):
-    """A model that always has something clearly better to try: a path leads from each step to names and a cost."""
+    """A model that always has something clearly better to try: a path leads from each step to names and a cost.
+
+    tried are the numbers of the steps taken.
+    """
 
     path: Path
     step: int = 0
+    tried: list[int] = field(default_factory=lambda: [0])
 
     @property
     def causes(self) -> tuple[Block, ...]:
@@ -47,6 +51,7 @@ class Wandering(Trial[Block]):
 
     def with_causes(self, causes, added=None) -> Wandering:
         """Go one step on."""
+        self.tried.append(self.step + 1)
         return replace(self, step=self.step + 1)
 
     def refined(self) -> Iterator[Sequence[Block]]:
@@ -64,8 +69,8 @@ def search(path: Path) -> tuple[Wandering, int, list[str]]:
     said: list[str] = []
     nothing = Screened((), FAMILY, LEFT)
     stepwise = Stepwise(CauseAcceptance(0.01, 0), np.random.default_rng(1), said.append, lambda _: None)
-    best, tried = stepwise.best(Wandering(nothing, path))
-    return best, len(tried), said
+    best = stepwise.best(Wandering(nothing, path))
+    return best, len(best.tried), said
 
 
 @pytest.mark.parametrize("names", [("a",), ("a", "b")])

@@ -24,13 +24,14 @@ from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.form_error import with_form_errors
 from calflow.diagnosis.regressors import Place
 from calflow.diagnosis.screening import Catalogue, Score, Screening
-from calflow.diagnosis.stepwise import REACH, SPLIT, CauseAcceptance, Stepwise, second_thoughts, verified, words
-from calflow.diagnosis.trial import FINER_STEPS, Detection, Linearisation, Screened, Trial, is_new
+from calflow.diagnosis.stepwise import REACH, SPLIT, CauseAcceptance, Stepwise, second_thoughts, words
+from calflow.diagnosis.trial import Detection, Linearisation, Screened, Trial, is_new
 from calflow.effects.cause import Cause
 from calflow.estimation.fit import Fit
 from calflow.estimation.progress import Advance, nobody
 from calflow.estimation.variance_components import refitted_cost, spent
 
+FINER_STEPS = 4  # refinements at most, of one inner unknown each
 CLEARLY_FINER = 2.0  # least decrease of cost of a variant against its neighbour for another fit
 THOUGHTS = 3  # rivals that may take a cause's place one after another
 
@@ -78,17 +79,12 @@ class FittedTrial(Trial[Cause]):
         start = np.concatenate([self.fitted.fit.estimate, added.estimate])
         return replace(self, fitted=self.fitted.with_causes(causes, start, added.explained))
 
-    def finest(self, cause: Cause, beside: Sequence[Cause], steps: int = 1) -> Score[Cause] | None:
+    def finest(self, cause: Cause, beside: Sequence[Cause]) -> Score[Cause] | None:
         """Return the score of a cause's best form beside others, between its neighbours in the scan; None: the given form."""
-        best = None
-        for _ in range(steps):
-            if not (finer := self._finer(cause)):
-                break
-            near = Linearisation.at(self.fitted, Catalogue((cause, *finer), {})).forms(beside, cause.place)
-            if not near or near[0].cause == cause:
-                break
-            best, cause = near[0], near[0].cause
-        return best
+        if not (finer := self._finer(cause)):
+            return None
+        near = Linearisation.at(self.fitted, Catalogue((cause, *finer), {})).forms(beside, cause.place)
+        return near[0] if near and near[0].cause != cause else None
 
     def refined(self) -> Iterator[list[Cause]]:
         """Yield the causes with every variant refined that is clearly better beside the others.
@@ -126,9 +122,14 @@ class FittedTrial(Trial[Cause]):
         silent = {other.cause for other in still.candidates if not still.products.own[other.columns].any()}
         return replace(finding, scores=tuple(score for score in finding.scores if score.cause not in silent))
 
-    def with_form_errors(self, finding: Detection[Cause]) -> Detection[Cause]:
-        """Return a finding with its near rivals weighed with form errors."""
-        return with_form_errors(finding, self.fitted, self.linearisation.apart([finding.cause]).regressors)
+    @property
+    def extended(self) -> Extended:
+        """Its model with its findings, their rivals weighed with form errors, which takes some linearisations for each."""
+        findings = (
+            with_form_errors(finding, self.fitted, self.linearisation.apart([finding.cause]).regressors)
+            for finding in map(self.with_acting_rivals, self.findings)
+        )
+        return Extended(self.fitted, tuple(findings), self.first)
 
     def _finer(self, cause: Cause) -> list[Cause]:
         return [replace(cause, effect=effect) for effect in cause.effect.finer(self.fitted.data)]
@@ -164,24 +165,6 @@ class Extended:
         return replace(self, findings=tuple(sorted(self.findings, key=explained, reverse=True)))
 
 
-@dataclass(frozen=True)
-class Searched:
-    """A search's best trial, and all its trials."""
-
-    best: Trial[Cause]
-    tried: Sequence[Trial[Cause]]
-
-    @property
-    def fitted(self) -> Fitted:
-        """The best model."""
-        return cast(FittedTrial, self.best).fitted  # trials lead to trials of their own kind
-
-    @property
-    def extended(self) -> Extended:
-        """The best model with its findings, verified, which takes some linearisations for each."""
-        return Extended(self.fitted, verified(self.best, self.tried), self.best.first)
-
-
 def extend(
     start: Fitted,
     catalogue: Catalogue,
@@ -189,21 +172,21 @@ def extend(
     rng: np.random.Generator,
     say: Callable[[str], None],
     advance: Advance = nobody,
-) -> Searched:
-    """Return a stepwise search (see `stepwise`) for the causes that a model lacks, with independent errors.
+) -> FittedTrial:
+    """Return the model with the causes that it lacks, by a stepwise search (see `stepwise`) with independent errors.
 
     say receives each step in words, advance the share of the search that is done, which never falls.
     """
     first = Linearisation.at(start, catalogue).screened(rng)
-    return Searched(*Stepwise(acceptance, rng, say, advance).best(FittedTrial(first, start, catalogue)))
+    return cast(FittedTrial, Stepwise(acceptance, rng, say, advance).best(FittedTrial(first, start, catalogue)))
 
 
 def weighed_against(extension: Extended, catalogue: Catalogue) -> Extended:
     """Return the findings with a wider catalogue's candidates as rivals: a cause excluded from the search may be the true one."""
     if not extension.findings:
         return extension
-    wider = verified(FittedTrial(extension.first, extension.fitted, catalogue), ())
-    scores = {finding.cause: finding.scores for finding in wider}
+    wider = FittedTrial(extension.first, extension.fitted, catalogue).extended
+    scores = {finding.cause: finding.scores for finding in wider.findings}
     return replace(extension, findings=tuple(replace(f, scores=scores[f.cause]) for f in extension.findings))
 
 
@@ -243,13 +226,15 @@ def _relative_amplitudes(
     return np.where(fitted.fit.at_bound[columns], np.nan, sizes), variants.get(cause.place, 1)
 
 
-def weighed(start: Fitted, first: Searched, basis: BackgroundBasis, catalogue: Catalogue, search: Stepwise) -> Extended:
+def weighed(
+    start: Fitted, first: FittedTrial, basis: BackgroundBasis, catalogue: Catalogue, search: Stepwise
+) -> Extended:
     """Return the extension of start after alternating between the causes found first and background until both agree.
 
     Causes that the background explains better, or that do not carry over, are dropped, and the search continues from the others
     until nothing that it finds is left beside those that it began from.
     """
-    begin, found = FittedTrial(first.best.first, start, catalogue), first.fitted
+    begin, found = FittedTrial(first.first, start, catalogue), first.fitted
     searched, judged = set[frozenset[Cause]](), set[frozenset[Cause]]()
     while True:
         now = beside_background(found, basis)
@@ -273,7 +258,7 @@ def weighed(start: Fitted, first: Searched, basis: BackgroundBasis, catalogue: C
             found = now.with_causes([*now.causes, instead])
             continue
         if any(held <= begun for begun in searched):
-            ended = Searched(beside, [beside])
+            ended = beside
             break
         searched.add(held)
         if left is not None and left.inputs:
@@ -321,7 +306,7 @@ def _weakest(fitted: Fitted, basis: BackgroundBasis, variants: Mapping[Place, in
     )
 
 
-def _searched(begin: FittedTrial, beside: FittedTrial, search: Stepwise) -> Searched:
+def _searched(begin: FittedTrial, beside: FittedTrial, search: Stepwise) -> FittedTrial:
     """Return the search continued from a model with its background; begin has no causes."""
     if not beside.causes and begin.fitted.background is not None:
         now = begin.linearisation.screened(search.rng, begin.first.family)
@@ -331,7 +316,7 @@ def _searched(begin: FittedTrial, beside: FittedTrial, search: Stepwise) -> Sear
     more = len(best.causes) - len(beside.causes)
     if beside.causes and more > 0 and best.cost > beside.cost - SPLIT * more and search.stands(beside):
         best = beside  # as in an exchange, more causes must be clearly better
-    return Searched(best, tried)
+    return cast(FittedTrial, best)  # trials lead to trials of their own kind
 
 
 def _second_thought(best: Trial[Cause], tried: list[Trial[Cause]], search: Stepwise) -> Trial[Cause]:

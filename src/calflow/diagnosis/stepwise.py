@@ -7,22 +7,20 @@ explain their parts.
 Exchange: two causes at once in the place of others. Similar causes mask each other: a third that explains most of both is found
 first, and no replacement of a single cause leads back.
 
-Verification: rivals of a large cause are fitted in its place, where the linearisation is not exact enough to exclude them.
-
 Steps that the linearisation excludes are not fitted, with an allowance of a share of what is removed. A step that proves worse is
 undone, so that at most one of each kind fails at a model.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, combinations
 from typing import Any, Generic
 
 import numpy as np
 
-from calflow.diagnosis.regressors import H, Place
+from calflow.diagnosis.regressors import H
 from calflow.diagnosis.screening import Family, Score, by_place
 from calflow.diagnosis.trial import Detection, Trial, is_new
 
@@ -34,7 +32,7 @@ SHARES = {"causes": 0.7, "unexplained": 0.2, "noise": 0.1}  # of the false-alarm
 FEW_COLUMNS = 4  # parameters of a candidate at most: error maps have rivals of their own
 BEST_PLACES = 8  # places of which one cause of a pair is, the best
 SPLIT = 10.0  # least decrease of cost for two causes in place of one (Kass and Raftery 1995: "very strong")
-DOUBT = 0.05  # relative error of a linear comparison with a rival, as a share of the cause's evidence
+DOUBT = 0.05  # relative error of a linear comparison, as a share of the evidence of what is removed
 CLEAR = 0.1  # share of the false-alarm rate below which the correction need not be recomputed: it grows twofold at most
 STEP_SHARE = 0.2  # progress of a step as a share of the remaining search, whose length is unknown
 MOST_TRIALS = 60  # models that are fitted in all: a search that needs more is cyclic
@@ -58,11 +56,6 @@ def is_worth_trying(causes: Sequence[Any], tried: Sequence[Trial]) -> bool:
     costs = [trial.cost for trial in tried if sorted(cause.place for cause in trial.causes) == where]
     stuck = len(costs) > PATIENCE and min(costs[-PATIENCE:]) > min(costs[:-PATIENCE]) - BETTER
     return not stuck and is_new(causes, tried)
-
-
-def swapped(causes: Sequence[H], gone: H, come: H) -> list[H]:
-    """Return the causes with one replaced by another."""
-    return [come if cause == gone else cause for cause in causes]
 
 
 @dataclass(frozen=True)
@@ -107,69 +100,6 @@ def merged(trial: Trial[H]) -> Iterator[list[H]]:
             yield [*stay, best.cause]
 
 
-def doubtful(finding: Detection[H]) -> list[Score[H]]:
-    """Return the best variants of rivals that the linearisation does not exclude, best first; empty for a small cause."""
-    doubt = -DOUBT * finding.own.cost
-    if doubt < WITHIN:
-        return []  # too small to decide anything
-    others = (scored for place, scored in finding.places.items() if place != finding.cause.place)
-    near = [(cost, score) for cost, score in others if cost - finding.cost < WITHIN + doubt]
-    return [score for _, score in sorted(near, key=lambda scored: scored[0])]
-
-
-def doubted(best: Trial[H]) -> Iterator[list[H]]:
-    """Yield the causes with a large one replaced by a rival, or with one of two at a joint removed.
-
-    Rivals, and the cause that remains at a joint, are in their best form there.
-    """
-    small = [finding for finding in best.findings if finding.cause.n_parameters <= FEW_COLUMNS]
-    for finding in small:
-        cause = finding.cause
-        for score in doubtful(finding):
-            yield swapped(best.causes, cause, best.in_place([cause], score.cause))
-        for other in (
-            rival.cause for rival in small if rival.cause != cause and cause.joint and rival.cause.joint == cause.joint
-        ):
-            stay = [rival for rival in best.causes if rival != cause]
-            yield stay
-            yield swapped(stay, other, best.in_place([cause, other], other))
-
-
-def verified(best: Trial[H], tried: Sequence[Trial[H]]) -> tuple[Detection[H], ...]:
-    """Return the findings, with the evidence of rivals from fits in a cause's place, where there were such, and form errors."""
-    detections = []
-    for finding in map(best.with_acting_rivals, best.findings):
-        stay = [cause for cause in best.causes if cause != finding.cause]
-        above = {
-            score.cause.place: min(fitted)
-            for score in doubtful(finding)
-            if (fitted := [other.cost - best.cost for other in tried if _has(other, stay, score.cause)])
-        }
-        detections.append(best.with_form_errors(corrected_rivals(finding, above, best.first.degrees_of_freedom)))
-    return tuple(detections)
-
-
-def _has(trial: Trial[H], stay: Sequence[H], rival: H) -> bool:
-    """Whether a trial had these causes and a rival in any form."""
-    others = [cause for cause in trial.causes if cause not in stay]
-    return len(trial.causes) == len(stay) + 1 and [cause.place for cause in others] == [rival.place]
-
-
-def corrected_rivals(finding: Detection[H], above: Mapping[Place, float], degrees_of_freedom: float) -> Detection[H]:
-    """Return the finding with some places' costs replaced by fitted ones, given relative to that of the cause."""
-    shift = {place: cost + finding.cost - finding.places[place][0] for place, cost in above.items()}
-
-    def moved(score: Score[H]) -> Score[H]:
-        if score.cause.place not in shift:
-            return score
-        change = shift[score.cause.place]
-        share = 1 - (1 - score.share) * float(np.exp(change / degrees_of_freedom))
-        return replace(score, cost=score.cost + change, share=share, drop=share * score.drop / max(score.share, 1e-12))
-
-    scores = sorted(map(moved, finding.scores), key=lambda score: score.cost)
-    return replace(finding, scores=tuple(scores))
-
-
 @dataclass(frozen=True)
 class Proposal(Generic[H]):
     """A proposed step: the causes, and the reason in words; added is the score of the last cause, if it is new."""
@@ -191,15 +121,15 @@ class Stepwise:
     say: Callable[[str], None]
     advance: Callable[[float], None]
 
-    def best(self, *start: Trial[H]) -> tuple[Trial[H], list[Trial[H]]]:
-        """Return the best model and all trials, starting from the last of start, by steps and exchanges until nothing improves."""
+    def best(self, *start: Trial[H]) -> Trial[H]:
+        """Return the best model, starting from the last of start, by steps and exchanges until nothing improves."""
         tried = list(start)
         best = self.settled(tried)
         while better := self.improved(best, tried):
             best = better
         if len(tried) >= MOST_TRIALS:
             self.say(f"the search ends after {MOST_TRIALS} models: there may be a better one")
-        return best, tried
+        return best
 
     def settled(self, tried: list[Trial[H]]) -> Trial[H]:
         """Add, drop and replace causes while that improves the model; return the best model whose causes are all accepted.
@@ -225,20 +155,10 @@ class Stepwise:
         return best
 
     def improved(self, best: Trial[H], tried: list[Trial[H]]) -> Trial[H] | None:
-        """Return a better model reached by a merger, an exchange, or a rival of a large cause, if there is one."""
-        others = _within_reach(best, doubted(best))
-        at_once = chain(_within_reach(best, merged(best)), self.exchanges(best))
-        return self._led_to(best, tried, at_once, lambda _: False) or self._led_to(
-            best, tried, others, lambda trial: trial.cost < best.cost + WITHIN and not self.stands(trial)
-        )
-
-    def _led_to(
-        self, best: Trial[H], tried: list[Trial[H]], steps: Iterable[Proposal[H]], promising: Callable[[Trial[H]], bool]
-    ) -> Trial[H] | None:
-        """Return the first better model reached from one of the steps; a promising trial need not be better at once."""
-        for step in _untried(steps, tried):
+        """Return a better model reached by a merger or an exchange, if there is one."""
+        for step in _untried(chain(_within_reach(best, merged(best)), self.exchanges(best)), tried):
             tried.append(best.with_causes(step.causes, step.added))
-            if _cost_apart(tried[-1]) < _cost_apart(best) or promising(tried[-1]):
+            if _cost_apart(tried[-1]) < _cost_apart(best):
                 self.say(step.words)
                 if _cost_apart(other := self.settled(tried)) < _cost_apart(best):
                     return other
@@ -354,7 +274,7 @@ def second_thoughts(trial: Trial[H], acceptance: CauseAcceptance) -> list[H]:
     for finding in _weakest_first(trial.findings):
         cost, best = min(finding.places.values(), key=lambda scored: scored[0])
         if cost < finding.cost and acceptance.accepts(best, finding.family):
-            return swapped(trial.causes, finding.cause, best.cause)
+            return [best.cause if cause == finding.cause else cause for cause in trial.causes]
     return list(trial.causes)
 
 

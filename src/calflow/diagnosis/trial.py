@@ -15,8 +15,6 @@ from calflow.diagnosis.regressors import H, Place, Regressors
 from calflow.diagnosis.screening import Catalogue, Family, Score, Screening, by_place
 from calflow.effects.cause import Cause
 
-FINER_STEPS = 4  # refinements at most, of one inner unknown each, of a rival before it is fitted
-
 
 @dataclass(frozen=True)
 class Detection(Generic[H]):
@@ -173,22 +171,9 @@ class Trial(ABC, Generic[H]):
     def with_causes(self, causes: Sequence[H], added: Score[H] | None = None) -> Self:
         """Return the model fitted with these causes instead; added is the score of the last one, if it is new."""
 
-    def finest(self, cause: H, beside: Sequence[H], steps: int = 1) -> Score[H] | None:
-        """Return the score of a cause's best form beside others, refined step by step; None: the given form."""
+    def finest(self, cause: H, beside: Sequence[H]) -> Score[H] | None:
+        """Return the score of a cause's best form beside others, once refined; None: the given form."""
         return None
-
-    def in_place(self, gone: Sequence[H], cause: H) -> H:
-        """Return the best form of a cause in the place of others, by which a rival is judged."""
-        finest = self.finest(cause, [other for other in self.causes if other not in gone], FINER_STEPS)
-        return finest.cause if finest else cause
-
-    def with_acting_rivals(self, finding: Detection[H]) -> Detection[H]:
-        """Return a finding without the rivals that do nothing where its cause is zero."""
-        return finding
-
-    def with_form_errors(self, finding: Detection[H]) -> Detection[H]:
-        """Return a finding with its near rivals weighed with form errors, where forms are a guess."""
-        return finding
 
     def refined(self) -> Iterator[list[H]]:
         """Yield the causes in forms that are clearly better beside the other causes of the model."""
