@@ -24,7 +24,7 @@ from calflow.files.words import rounded
 from calflow.measurements.measurements import Measurements
 
 RANGE = "range"  # the condition of a row with which noise may grow
-STILL = 0.02  # p-value required of residuals without their smooth part
+UNLIKELY = 0.02  # p-value of equal noise above which that of set-ups is not settled
 ROWS_A_REGRESSOR = 4  # rows required for each smooth function that is removed
 WIDE = 10.0  # search range of a log standard deviation about its starting value
 COMPARABLE = 0.5  # least share of a set-up's indicator that its poses do not predict
@@ -165,23 +165,22 @@ def noise_of_repeats(fitted: Fitted) -> Growth | NoiseLevels | None:
     if repeats is None:
         return None
     levels = _levels(fitted, repeats, np.ones((len(repeats.rows), 1)))
-    return _likelier(_growth(fitted.data, repeats, repeats), levels and replace(levels, shown_by="repeats"))
+    return _likelier(_growth(fitted.data, repeats), levels and replace(levels, shown_by="repeats"))
 
 
 def noise_of_residuals(fitted: Fitted) -> Growth | NoiseLevels | None:
     """Return how the residuals of a model with its causes differ from the assumed noise; None with repeats.
 
-    It must be significant in, and is fitted to, residuals without their smooth part in joint readings and place, which is a misfit
-    that the noise must not absorb.
+    They are taken without their smooth part in joint readings and place, which is a misfit that the noise must not absorb.
     """
     if _of_repeats(fitted):
         return None
     # Other rows have no range, or a stated noise that grows with it.
     looking = np.array([observed.units[:3] == (METRE,) * 3 and observed.from_outside and not observed.series.beam
                         for observed in fitted.model.observations])  # fmt: skip
-    left, rough = _of_residuals(fitted)
-    there = looking[fitted.data.series_number[left.rows]]
-    return _likelier(_growth(fitted.data, left.only(there), rough.only(there)), levels_of_residuals(fitted))
+    rough = _of_residuals(fitted)
+    positions = rough.only(looking[fitted.data.series_number[rough.rows]])
+    return _likelier(_growth(fitted.data, positions), levels_of_residuals(fitted))
 
 
 def _likelier(growth: Growth | None, levels: NoiseLevels | None) -> Growth | NoiseLevels | None:
@@ -200,32 +199,30 @@ def levels_of_residuals(fitted: Fitted) -> NoiseLevels | None:
     """
     found, seen = None, fitted
     for _ in range(PASSES):
-        rough = _of_residuals(seen)[1]
+        rough = _of_residuals(seen)
         now = _levels(fitted, rough, _smooth_functions(fitted, rough.rows))
         if now is None:
             break
         found = replace(now, p=found.p if found else now.p)
-        if found.p > STILL:
+        if found.p > UNLIKELY:
             break
         seen = fitted.weighed(found.sigma(fitted.data, fitted.device))
     return found
 
 
-def _growth(data: Measurements, tested: ErrorSizes, fitted: ErrorSizes) -> Growth | None:
-    """Return the growth with range of sizes, which is significant in those tested too; None without ranges.
+def _growth(data: Measurements, sizes: ErrorSizes) -> Growth | None:
+    """Return the growth of sizes with range; None without ranges.
 
     Only growth within a set-up counts: of two devices the further one may be the noisier.
     """
     if RANGE not in data.given:
         return None
-    distance = data.table[RANGE].to_numpy()[tested.rows]
-    if not (seen := np.isfinite(distance)).any():
+    sizes = sizes.only(np.isfinite(data.table[RANGE].to_numpy()[sizes.rows]))
+    if not len(sizes.rows):
         return None
-    p = []
-    for sizes in (tested.only(seen), fitted.only(seen)):
-        both_ways, slope = sizes.regression(distance[seen, None], sizes.setups)
-        p.append(both_ways / 2 if slope > 0 else 1 - both_ways / 2)
-    return _fitted(fitted.only(seen), distance[seen], p[0] if p[1] < STILL else 1.0)
+    distance = data.table[RANGE].to_numpy()[sizes.rows]
+    both_ways, slope = sizes.regression(distance[:, None], sizes.setups)
+    return _fitted(sizes, distance, both_ways / 2 if slope > 0 else 1 - both_ways / 2)
 
 
 def _levels(fitted: Fitted, sizes: ErrorSizes, beside: np.ndarray) -> NoiseLevels | None:
@@ -287,29 +284,25 @@ def _of_repeats(fitted: Fitted) -> ErrorSizes | None:
     )
 
 
-def _of_residuals(fitted: Fitted) -> tuple[ErrorSizes, ErrorSizes]:
-    """Return poses' studentised residuals in leading units, and those without their smooth part, beside noise and misfit.
+def _of_residuals(fitted: Fitted) -> ErrorSizes:
+    """Return poses' studentised residuals in leading units without their smooth part, beside noise and misfit.
 
     The smooth part is their regression on harmonics of joint readings and a quadratic in place, series by series. Rows of a pose
     share errors, so that together they are one size.
     """
     data, noise, setup = fitted.data, fitted.noise.total, _setups(fitted.data)
-    squared, freedom = np.zeros((2, len(data))), np.zeros(len(data))
+    squared, freedom = np.zeros(len(data)), np.zeros(len(data))
     for k, observed in enumerate(fitted.model.observations):
         rows = np.flatnonzero(data.of_series(k))
         leading = [unit == observed.units[0] for unit in observed.units]
         error = fitted.studentised[rows, : len(leading)][:, leading]
-        freedom[rows] = error.shape[1]
         basis = _basis(_smooth_functions(fitted, rows) / noise[rows, None])
-        leverage = (basis**2).sum(axis=1)
-        rough = (error - basis @ (basis.T @ error)) / np.sqrt(np.maximum(1 - leverage, 1 - MOST_LEVERAGE))[:, None]
-        squared[:, rows] = (error**2).sum(axis=1), (rough**2).sum(axis=1)
+        left = np.maximum(1 - (basis**2).sum(axis=1), 1 - MOST_LEVERAGE)
+        squared[rows] = ((error - basis @ (basis.T @ error)) ** 2).sum(axis=1) / left
+        freedom[rows] = error.shape[1]
     _, first, group = np.unique([fitted.poses, setup], axis=1, return_index=True, return_inverse=True)
-    single, together = (noise * np.sqrt(data.repeats))[first], np.bincount(group, freedom)
-    left, rest = (
-        ErrorSizes(np.bincount(group, each) * single**2, together, single, first, setup[first]) for each in squared
-    )
-    return left, rest
+    single = (noise * np.sqrt(data.repeats))[first]
+    return ErrorSizes(np.bincount(group, squared) * single**2, np.bincount(group, freedom), single, first, setup[first])
 
 
 def _setups(data: Measurements) -> np.ndarray:
