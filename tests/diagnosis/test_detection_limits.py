@@ -15,7 +15,7 @@ from calflow.diagnosis.trial import Screened
 from calflow.diagnosis.verdict import amplitude
 from calflow.effects import catalogue
 from calflow.effects.cause import Cause
-from diagnosis.test_exchange import replaced
+from diagnosis.test_screening import with_residual
 from robots import industrial
 
 ROBOT = industrial()
@@ -36,6 +36,15 @@ def regressors(cause: Cause, rows: int) -> Regressors:
     candidate = Candidate(cause, np.arange(len(sd)))
     jacobian, precision = rng.standard_normal((rows, 5)), np.full(5, 0.1)
     return Regressors(np.zeros(rows), jacobian, precision, np.zeros(5), 0.0, TallMatrix.held(matrix), sd, (candidate,))
+
+
+def replaced(problem: Regressors, residual: np.ndarray) -> Regressors:
+    """The same problem with another residual, which its own parameters have settled on."""
+    along = problem.jacobian.T
+    step = np.linalg.solve(along @ problem.jacobian + np.diag(problem.precision), along @ residual)
+    pull = -problem.precision * step
+    rest = residual - problem.jacobian @ step
+    return with_residual(problem, rest, pull=pull, prior_rss=float((pull**2 / problem.precision).sum()))
 
 
 @pytest.mark.parametrize(("rows", "name"), [(300, name) for name in CAUSES] + [(6000, "one figure")])
