@@ -281,10 +281,10 @@ def search_causes(
     extended = extended.largest_first()
     beside = Linearisation.at(extended.fitted, every).beside.scores if left or extended.findings else ()
     judged = [verdict(finding, every.untestable(finding.cause.id)) for finding in extended.findings]
-    # The search takes markers of a standstill as independent. Where it found nothing identify's fit is better, unless outliers were
-    # down-weighted.
     otherwise = judged or other or (extended.fitted.outlier_factor > 1).any()
     kept = deployed_causes(extended, judged, misses) if otherwise else DeployedCauses(None, ())
+    # The search takes markers of a standstill as independent.
+    kept = replace(kept, fitted=kept.fitted and kept.fitted.sharing())
     for suspect in kept.suspected:
         say(f"{words(suspect.finding.cause)} remains a suspicion: it does not help at poses left out")
     ordered = tuple(verdict.finding for verdict in (*kept.deployed, *kept.suspected))

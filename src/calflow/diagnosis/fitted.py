@@ -14,7 +14,7 @@ from calflow.effects.cause import Cause
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.error_model import ErrorModel, SmoothVariances, beside_smooth_errors
 from calflow.estimation.extrapolation import beyond_measured
-from calflow.estimation.fit import Fit, IntraclassLikelihood, fit, fit_reweighted
+from calflow.estimation.fit import Fit, IntraclassLikelihood, fit, fit_reweighted, refitted_sharing
 from calflow.estimation.lack_of_fit import LackOfFit
 from calflow.estimation.least_squares import LeastSquares, Loss
 from calflow.estimation.leverage import LeftOut, excess, left_out
@@ -168,6 +168,11 @@ class Fitted:
             background=self.background,
             shared=self.shared,
         )
+
+    def sharing(self) -> Fitted:
+        """Return the model refitted with the errors that markers of one standstill share, as identify fits it."""
+        result, noise = refitted_sharing(self.fit, self.data, self.noise, self.intraclass)
+        return replace(self, fit=result, noise=noise, shared=self.intraclass)
 
     @staticmethod
     def of(calibrated: CalibratedModel, data: Measurements, noise: Noise) -> Fitted:

@@ -313,10 +313,22 @@ def fit_sharing(
     """Fit as `fit_reweighted` does, and where standstills have several rows, once more with correlated errors within them."""
     means, _ = averaged(train, noise)
     result, noise, lack, agree = fit_reweighted(model, train, noise, starts, loss)
-    if (likelihood := IntraclassLikelihood.of(result, means, noise)) and (correlation := likelihood.correlation):
-        noise = _sized(replace(noise, intraclass=correlation), likelihood.level(correlation))
-        result, _ = fit(LeastSquares.of(result.model, means, noise), result.estimate[None], loss)
-    return result, noise, lack, agree
+    return *refitted_sharing(result, means, noise), lack, agree
+
+
+def refitted_sharing(
+    result: Fit, means: Measurements, noise: Noise, correlation: float | None = None
+) -> tuple[Fit, Noise]:
+    """Return a fit to the means of repeats with the errors that rows of one standstill share, and its noise.
+
+    correlation is that of these errors, estimated by default.
+    """
+    likelihood = IntraclassLikelihood.of(result, means, noise)
+    correlation = likelihood.correlation if likelihood and correlation is None else correlation
+    if not (likelihood and correlation):
+        return result, noise
+    noise = _sized(replace(noise, intraclass=correlation), likelihood.level(correlation))
+    return fit(LeastSquares.of(result.model, means, noise), result.estimate[None], result.loss)[0], noise
 
 
 def fit_to_all(result: Fit, part: Noise, settled: Noise, means: Measurements, noise: Noise) -> tuple[Fit, Noise]:
