@@ -300,7 +300,8 @@ def _of_residuals(fitted: Fitted) -> ErrorSizes:
         left = np.maximum(1 - (basis**2).sum(axis=1), 1 - MOST_LEVERAGE)
         squared[rows] = ((error - basis @ (basis.T @ error)) ** 2).sum(axis=1) / left
         freedom[rows] = error.shape[1]
-    _, first, group = np.unique([fitted.poses, setup], axis=1, return_index=True, return_inverse=True)
+    of_pose = fitted.poses * (setup.max() + 1) + setup
+    _, first, group = np.unique(of_pose, return_index=True, return_inverse=True)
     single = (noise * np.sqrt(data.repeats))[first]
     return ErrorSizes(np.bincount(group, squared) * single**2, np.bincount(group, freedom), single, first, setup[first])
 
