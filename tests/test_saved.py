@@ -185,6 +185,21 @@ def test_a_diagnosis_is_loaded_with_all_it_found(tmp_path):
     assert again.results.tables["diagnose/findings.csv"].equals(found.results.tables["diagnose/findings.csv"])
 
 
+def test_a_stated_noise_that_repeats_contradict_on_one_day_is_told_as_it_was_stated():
+    """Fails if the noise that is told as stated is the corrected one, or that of a mean of repeats."""
+    case, rng = Case(robots.industrial(), ("geometry",)), np.random.default_rng(7)
+    data = case.measured(1)
+    noisy = np.repeat(np.arange(len(data)) % 3 == 0, 2)
+    table = data.table.loc[np.repeat(data.table.index, 2)].reset_index(drop=True)
+    scatter = {name: table[name] + np.where(noisy, 1.2e-4, 3e-5) * rng.standard_normal(len(table)) for name in "xyz"}
+    days = {"session": np.where(noisy, "wed", "mon"), "sigma": 3e-5, "repeat": np.arange(len(table)) % 2 + 1}
+    data = replace(data, table=table.assign(**scatter, **days))
+    found = cf.identify(case.robot, data, case.effects, starts=1, noise="file").diagnose(catalogue=["joint-backlash"])
+    (doubt,) = (doubt for doubt in RunOutcome(found.results).noise_doubts if doubt.session)
+    assert (doubt.session, doubt.stated_mm, doubt.shown_by) == ("wed", pytest.approx(0.03), "repeats")
+    assert doubt.shown_mm > 1.5 * doubt.stated_mm
+
+
 def test_the_noise_of_a_session_is_loaded_as_it_was_saved(tmp_path):
     """Fails if a session's noise is lost with the files, or nobody is told that what was stated is wrong."""
     case = Case(robots.industrial(), ("geometry",))

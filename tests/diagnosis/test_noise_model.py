@@ -157,6 +157,7 @@ def test_a_noisier_session_is_told_from_the_others(repeats, stated):
         (doubt,) = levels.doubts(seen.data, seen.device)
         assert (doubt.session, doubt.believed) == ("wed", False)
         assert "session wed, 0.03 mm per axis, is 4" in doubt.statement
+        assert doubt.statement.endswith("Correct sigma, unless the robot repeated worse then.")
         settled = seen.weighed(levels.sigma(seen.data, seen.device))
         assert settled.noise.discrepancy[METRE] == 0
         assert seen.noise.discrepancy[METRE] > SIGMA

@@ -201,7 +201,9 @@ def diagnosis_summary(diagnosis: Diagnosis, calibrated: CalibratedModel) -> Diag
         tests=diagnosis.extended.first.family.places,
         worst=diagnosis.misfit.region if diagnosis.misfit else None,
         capped=diagnosis.capped,
-        noise_doubts=tuple(diagnosis.levels.doubts(first.data, first.device)) if diagnosis.levels else (),
+        noise_doubts=tuple(diagnosis.levels.doubts(first.data, calibrated.noise(first.data)))
+        if diagnosis.levels
+        else (),
     )
 
 

@@ -107,14 +107,14 @@ class NoiseLevels:
         return self
 
     def doubts(self, data: Measurements, stated: Noise) -> Iterator[NoiseDoubt]:
-        """Yield a doubt of each stated noise that is too small in a session."""
+        """Yield a doubt of each noise of single rows as stated that is too small in a session."""
         for k, series in enumerate(data.series):
             if stated.sources[k] != "file":
                 continue
             for session, factor in self.factors[k].items():
                 rows = data.of_series(k) & (data.session == session)
                 if factor > 1:
-                    level = float(np.sqrt(np.mean(stated.sigma[rows] ** 2 * data.repeats[rows])))
+                    level = float(np.sqrt(np.mean(stated.sigma[rows] ** 2)))
                     yield doubt(stated.leading[k], level, factor, series=series.name, session=session,
                                 shown_by=self.shown_by, believed=False, p=self.p)  # fmt: skip
 

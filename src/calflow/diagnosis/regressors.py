@@ -218,9 +218,9 @@ class Regressors(Generic[H]):
 
     residual (n,), jacobian (n, n_free), precision (n_free,): the fit's, with its priors; pull (n_free,): the priors' part of the
     gradient; matrix (n, n_columns): regressors, with prior_sd (n_columns,); random (n_modes,): indices of a background's amplitudes
-    among the free parameters; amplitude_freedom (n_columns,): degrees of
-    freedom of the variance of each column's amplitude, where errors are correlated without one; posed: share of the residuals
-    that remains if at most six per pose count; added_up: the products, where they follow from others.
+    among the free parameters; amplitude_freedom (n_columns,): degrees of freedom of the variance of each column's amplitude, where
+    errors are correlated without one; posed: share of the residuals that remains if at most six per pose count; added_up: the
+    products, where they follow from others.
     """
 
     residual: np.ndarray

@@ -262,7 +262,6 @@ def beyond_measured(errors: ErrorModel, sizes: SmoothVariances, variance: np.nda
         variance: of each of their parts, (n_parts,).
     """
     result, data, left = sizes.result, sizes.data, _walks(sizes, variance)
-    anew = {Wandering.of} if result.model.by_session else set()
     further = [*_beyond_causes(result, data)]
     errors = errors.with_functions(further, usual_sizes(result.model, further))
     # Which session it was says all of its frame: the next one's is placed anew.
@@ -276,14 +275,14 @@ def beyond_measured(errors: ErrorModel, sizes: SmoothVariances, variance: np.nda
     if by_order:
         # The order starts anew in each measurement.
         errors = errors.only(lambda function: not isinstance(function, InTime))
-    begin, end = steps[0].begin, steps[-1].end
+    begin, end, anew = steps[0].begin, steps[-1].end, result.model.by_session
     walks = _wandered(sizes, causes) if causes else left
     for of, walk in walks.items():
         functions: list[SmoothFunction]
         if by_order:
             # With causes twice the variance: their drift, extrapolated to other rows, and the drift there are independent.
             functions, share = [*in_time(data, of)], walk * (np.sqrt(2) if causes else 1.0)
-        elif of in anew:
+        elif anew and of == Wandering.of:
             times = data.table["time"].groupby(data.session).agg(["min", "max"]).to_numpy().tolist()
             sessions = tuple((begin, end) for begin, end in times)
             anywhere = InFurtherSession(data.robot, of, sessions=sessions, change=walk, any_time=left[of])

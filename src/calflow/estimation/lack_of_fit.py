@@ -176,8 +176,10 @@ class NoiseDoubt:
             if self.shown_by == "repeats"
             else "the fit leaves" + " only" * (way == "large")
         )
+        # Errors that a robot makes on one day only look like noise of that day.
+        unless = ", unless the robot repeated worse then" if self.session and self.shown_by == "residuals" else ""
         return (f"The stated noise{where}, {rounded(self.stated)} {self.unit} per axis, is {times} times too {way}: {shown} "
-                f"{rounded(self.shown)} {self.unit}{' there' * bool(self.session)}. Correct sigma.")  # fmt: skip
+                f"{rounded(self.shown)} {self.unit}{' there' * bool(self.session)}. Correct sigma{unless}.")  # fmt: skip
 
     @property
     def words(self) -> str:
