@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -14,8 +15,8 @@ from calflow.estimation.certainty import promised_limits
 from calflow.estimation.identification import fit_effects
 from calflow.files.units import METRE
 from calflow.measurements.series import Series
-from hidden.devices import Arm, measured, rows
-from robots import tool_rotation, ur10
+from hidden.devices import Arm, measured, rows, sockets
+from robots import marker_position, tool_rotation, ur10
 
 NOISE = 1e-4  # m, of a wire
 ANCHOR = np.array([1.2, 0.5, 0.1])
@@ -128,3 +129,36 @@ def test_a_turn_is_as_sure_as_parameters_and_functions_together():
     off = np.concatenate(away)
     assert (np.abs(off) < 1.96).mean() > 0.9
     assert 0.85 < np.sqrt((off**2).mean()) < 1.15
+
+
+@dataclass(frozen=True)
+class Bent(Arm):
+    """An arm whose joints are off by off(q) [rad]."""
+
+    off: Callable[[np.ndarray], np.ndarray]
+
+    def tool(self, q, marker=0):
+        """The marker's points (n, 3)."""
+        return marker_position(self.robot, q + self.off(q), self.figures, marker)
+
+
+def test_two_sockets_beside_each_other_promise_no_metres_elsewhere():
+    """Fails if an error of the place, hardly seen 50 mm apart, is taken to grow with its cube: 50 mm promised, where 0.3 are found."""
+    found, promised = [], []
+    for seed in range(2):
+        rng = np.random.default_rng(seed)
+        straight = Arm.drawn(ur10(), rng)
+        first = rng.uniform(0, 6, 3)
+
+        def off(q, first=first):
+            return 6e-4 * np.eye(6)[1] * np.prod(np.sin(1.2 * q[:, :3] + first), axis=1)[:, None]
+
+        arm, near = Bent(straight.robot, straight.figures, off), np.array([0.7, 0.2, 0.1])
+        there = {"a": near, "b": near + np.array([0.03, 0.04, 0.0])}
+        placed = Series.of("", "same-point", labels=("socket",))
+        fitted = fit_effects(measured(arm.robot, sockets(arm, there, 60, NOISE, rng), placed, NOISE), ("geometry",))
+        away = sockets(arm, {"c": np.array([0.35, -0.45, 0.35])}, 40, NOISE, rng)
+        third = fitted.known.errors_in_unit(measured(fitted.data.robot, away, placed, NOISE), METRE)
+        found.append((third.error**2).mean())
+        promised.append((third.variance + NOISE**2).mean())
+    assert 0.7 < np.sqrt(np.mean(promised) / np.mean(found)) < 1.4

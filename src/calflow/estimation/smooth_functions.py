@@ -39,6 +39,7 @@ _IN_IMAGE = [(i, j) for i in range(4) for j in range(4) if i + j <= 3]
 _IN_PLACE = [(i, j, k) for i in range(4) for j in range(4) for k in range(4) if 2 <= i + j + k <= 3]
 SMOOTH_ORDERS = 4  # harmonics of a joint's angle
 TINY = 1e-6  # m, of a travel
+LEAST_REACH = 0.5  # over which errors of place vary, at least, over the distance of the farthest point from the robot's base
 STILL = 1e-9  # derivative by a joint over the largest, below which it is rounding
 # Steps of a random walk during the measurement, of equal numbers of rows, besides pauses; a robot warms up steadily.
 STEPS, STEPS_OF_ROBOT = 16, 4
@@ -483,8 +484,10 @@ def of_place(model: Model, estimate: np.ndarray, data: Measurements) -> list[Smo
     if images := of_images(data):
         return images
     place = model.point(estimate, data.conditions)
-    centre = place.mean(axis=0)
-    return [InPlace(data.robot, tuple(map(float, centre)), float(np.abs(place - centre).max()) or 1.0)]
+    centre, arm = place.mean(axis=0), np.linalg.norm(place - model.robot.base.origin, axis=1).max()
+    # Such errors vary over the robot's size: cubic over that of two sockets beside each other, they would be metres elsewhere.
+    reach = max(np.abs(place - centre).max(), LEAST_REACH * arm)
+    return [InPlace(data.robot, tuple(map(float, centre)), float(reach) or 1.0)]
 
 
 def of_images(data: Measurements) -> list[SmoothFunction]:
