@@ -143,7 +143,7 @@ class Bent(Arm):
 
 
 def test_two_sockets_beside_each_other_promise_no_metres_elsewhere():
-    """Fails if an error of the place, hardly seen 50 mm apart, is taken to grow with its cube: 50 mm promised, where 0.3 are found."""
+    """Fails if an error of the place, hardly seen 50 mm apart, is taken to grow with its cube: 50 mm for 0.3 found."""
     found, promised = [], []
     for seed in range(2):
         rng = np.random.default_rng(seed)

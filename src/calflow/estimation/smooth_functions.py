@@ -39,7 +39,7 @@ _IN_IMAGE = [(i, j) for i in range(4) for j in range(4) if i + j <= 3]
 _IN_PLACE = [(i, j, k) for i in range(4) for j in range(4) for k in range(4) if 2 <= i + j + k <= 3]
 SMOOTH_ORDERS = 4  # harmonics of a joint's angle
 TINY = 1e-6  # m, of a travel
-LEAST_REACH = 0.5  # over which errors of place vary, at least, over the distance of the farthest point from the robot's base
+LEAST_REACH = 0.5  # over which errors of place vary, over the distance of the farthest point from the robot's base
 STILL = 1e-9  # derivative by a joint over the largest, below which it is rounding
 # Steps of a random walk during the measurement, of equal numbers of rows, besides pauses; a robot warms up steadily.
 STEPS, STEPS_OF_ROBOT = 16, 4
