@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import robots
 from calflow.calibration import identify
 from calflow.faults import examined
 from calflow.faults.setup import Setup
@@ -66,6 +67,15 @@ def test_a_mistyped_figure_is_told_and_no_other(measured, joint, figures, said, 
         examined(with_figure(data, joint, **figures))
     others = str(told.value).split("(2)")[1:]
     assert all(f"theta of joint {joint} is mistyped" in other for other in others)  # the same figure, as any
+
+
+def test_a_supposed_robot_whose_loop_closes_nowhere_is_no_answer():
+    """Fails if a mistake cannot be told where another that is tried, such as the other convention, opens the loop."""
+    robot = robots.hh800_with_bars(crank=0.4, rocker=0.4)
+    q = robots.poses(robot, 60)
+    data = Measurements.from_arrays(robot, q, robots.marker_position(robot, q)).split(0.2, 1)
+    with pytest.raises(InputError, match="joint 5: the twist alpha has the wrong sign"):
+        examined(with_figure(data, 5, alpha=np.pi / 2))
 
 
 @pytest.mark.parametrize(("joint", "figures"), [(4, {"theta": np.pi}), (4, {"alpha": -np.deg2rad(np.pi / 2)})])

@@ -100,9 +100,10 @@ def candidates(
     if cell is not None:
         left, refused = "are left", f" Of those there {refused_words(np.concatenate(refusals))}"
     base = ", ".join(f"{1e3 * value:.0f}" for value in model.robot.base.origin)
+    loop = ", and does its four-bar loop close there" if model.robot.loop else ""
     raise refuse(
         f"of {rounds * size} poses within the joint limits only {sum(map(len, kept))} {left}, {number} are needed: "
-        f"is the region within the robot's reach? It is in the measuring frame, with the base at ({base}) mm.{refused}"
+        f"is the region within the robot's reach{loop}? It is in the measuring frame, with the base at ({base}) mm.{refused}"
     )
 
 

@@ -17,7 +17,6 @@ from typing import Any, Generic, TypeVar
 import casadi as ca
 import numpy as np
 
-from calflow.files.problems import refuse
 from calflow.robot.frames import SHIFTS, TURNS, Motion, Step, apply, elementary, moving, placement, translation
 from calflow.robot.parts import FourBar
 from calflow.robot.robot import Robot
@@ -659,16 +658,12 @@ def rated_torques(robot: Robot) -> np.ndarray:
 
 def _gravity_torques(robot: Robot) -> np.ndarray:
     """Return the largest gravity torques of the joints over their ranges, shape (n_joints,)."""
-    function = gravity_torque(robot)
-    sample = _spread(robot, 256)
-    sample = sample[reachable(robot, sample)]
-    if not len(sample):
-        raise refuse("the four-bar loop closes nowhere within the joints' ranges", key=f"robot '{robot.name}': loop")
+    function, sample = gravity_torque(robot), _spread(robot, 256)
     heaviest = np.zeros(len(robot.payloads))
     if robot.payloads:
         heaviest[int(np.argmax([payload.mass or 0.0 for payload in robot.payloads.values()]))] = 1.0
     torques = np.abs(np.array(function.map(len(sample))(sample.T, np.tile(heaviest[:, None], len(sample)))))
-    largest = np.nanmax(torques, axis=1)
+    largest = np.where(reachable(robot, sample), torques, 0.0).max(axis=1)  # none where a loop closes nowhere
     slides = np.array([joint.kind == "prismatic" for joint in robot.joints])
     for kind in (slides, ~slides):
         largest[kind] = np.maximum(largest[kind], max(SMALLEST_RATED, 0.1 * largest[kind].max(initial=0.0)))
