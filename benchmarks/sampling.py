@@ -65,7 +65,7 @@ def _stiff(found: Fit, seed: int) -> np.ndarray:
 def _compared(name: str, found: Fit, seed: int) -> list[dict[str, object]]:
     posterior = LogPosterior.about(found.problem, Laplace.of(found.problem, found.estimate, found.at_bound))
     n, active = posterior.n_dimensions, int(found.at_bound.sum())
-    start = posterior.start(2 * n, np.random.default_rng(seed))
+    start = np.random.default_rng(seed).standard_normal((2 * n, n))
     print(
         f"{name}: {n} dimensions, {active} estimates at a bound, {posterior.coordinates.n_cut} parameters transformed"
     )
@@ -77,7 +77,10 @@ def _compared(name: str, found: Fit, seed: int) -> list[dict[str, object]]:
     def same(x: np.ndarray) -> np.ndarray:
         return x
 
-    own, mapped = posterior.log_probability, posterior.parameters
+    def own(u: np.ndarray) -> np.ndarray:
+        return posterior.densities(u)[0]
+
+    mapped = posterior.parameters
     mixtures: dict[str, tuple[list | None, int, Callable, Callable]] = {
         "stretch (emcee's default), parameters": (None, LONG, plain, same),
         "stretch (emcee's default), coordinates": (None, LONG, own, mapped),

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import zlib
-
 import emcee
 import numpy as np
 import pytest
@@ -11,11 +9,9 @@ from scipy.stats import truncnorm
 
 from calflow.estimation.fit import fit
 from calflow.model import build
-from calflow.sampling.chain import ChainLength
 from calflow.sampling.log_posterior import Coordinates, Laplace, LogPosterior, move_mixture
-from calflow.sampling.sample import sample
-from estimation.data import SIGMA, calibration, drawn_truth, measured, problem
-from robots import industrial, robot
+from estimation.data import SIGMA, measured, problem
+from robots import robot
 
 LEVELS = (0.025, 0.25, 0.5, 0.75, 0.975)
 CHANCE = 4.5  # Monte Carlo standard errors that are still an accident, of some dozens
@@ -154,19 +150,10 @@ def test_springs_that_do_not_give_way_are_sampled_as_integrated():
     assert_agrees(chain[..., 0], axes[0], half / half.sum())
 
 
-def test_the_upright_joints_spring_is_the_half_normal_of_its_prior(tmp_path):
+def test_the_upright_joints_spring_is_the_half_normal_of_its_prior(arm):
     """Fails if a parameter at its bound that no data reach is not sampled as its prior is, cut at the bound, in the tables too."""
-    rng = np.random.default_rng(14)
-    model = build(industrial(), ("geometry", "joint-compliance"))
-    data = measured(model, drawn_truth(model, rng), 50, rng)
-    found, _ = fit(problem(model, data))
-    known = calibration(found.model, found.estimate, found.covariance, source="repeats", at_bound=found.at_bound)
-    length = ChainLength(max_steps=150)
-    chain = sample(
-        known, data, tmp_path / "chain.h5", length, rng=lambda name: np.random.default_rng(zlib.crc32(name.encode()))
-    )
-    row = chain.table.set_index("parameter").loc["joint1.s"]
-    (own,) = [p for p in model.parameters if p.name == "joint1.s"]
+    row = arm.table.set_index("parameter").loc["joint1.s"]
+    (own,) = [p for p in arm.calibrated.model.parameters if p.name == "joint1.s"]
     exact = truncnorm(0, own.upper / own.prior_sd, scale=own.prior_sd)
     error = own.prior_sd / np.sqrt(row["ess"])
     assert row["mean"] == pytest.approx(exact.mean(), abs=CHANCE * error)
@@ -176,4 +163,4 @@ def test_the_upright_joints_spring_is_the_half_normal_of_its_prior(tmp_path):
         assert row[name] == pytest.approx(
             exact.ppf(share), abs=CHANCE * np.sqrt(share * (1 - share) / row["ess"]) / density
         )
-    assert "joint1.s" in [one.parameter for one in chain.summary.cut]
+    assert "joint1.s" in [one.parameter for one in arm.summary.cut]

@@ -2,19 +2,11 @@
 
 from __future__ import annotations
 
-import zlib
-
 import numpy as np
 import pytest
 from scipy.stats import norm
 
-from calflow.estimation.fit import fit
-from calflow.model import build
-from calflow.sampling.chain import ChainLength
 from calflow.sampling.posterior import ALPHAS, power_weights, sensitivity, told_by_prior
-from calflow.sampling.sample import sample
-from estimation.data import calibration, drawn_truth, measured, problem
-from robots import industrial
 
 CHAINS, DRAWS = 40, 2000
 
@@ -77,21 +69,9 @@ def test_sensitivity_is_the_one_of_normal_densities(prior_sd, likelihood_sd, shi
         assert sensitivity(values[..., None], density)[0] == pytest.approx(np.mean(exact), abs=0.005)
 
 
-def test_what_the_data_do_not_tell_is_the_priors(tmp_path):
+def test_what_the_data_do_not_tell_is_the_priors(arm):
     """Fails if the upright first joint's compliance, which no weight winds up, is taken for measured, or others for a prior."""
-    rng = np.random.default_rng(14)
-    model = build(industrial(), ("geometry", "joint-compliance"))
-    data = measured(model, drawn_truth(model, rng), 50, rng)
-    found, _ = fit(problem(model, data))
-    known = calibration(found.model, found.estimate, found.covariance, source="repeats", at_bound=found.at_bound)
-    chain = sample(
-        known,
-        data,
-        tmp_path / "chain.h5",
-        ChainLength(max_steps=150),
-        rng=lambda name: np.random.default_rng(zlib.crc32(name.encode())),
-    )
-    table = chain.table.set_index("parameter")
+    table = arm.table.set_index("parameter")
     told = set(table.index[told_by_prior(table)[0]])
     assert "joint1.s" in told  # nothing turns the first joint
     assert "joint6.theta" in told  # the last joint's zero and the marker's place are one turn

@@ -220,25 +220,11 @@ class LogPosterior:
     def densities(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the log posterior of coordinates (n_walkers, n_dimensions), and log prior and log likelihood of their parameters.
 
-        Each (n_walkers,) and up to a constant. The first also includes the log Jacobian of the map.
+        Each (n_walkers,) and up to a constant. The first, -inf outside the bounds, also includes the log Jacobian of the map.
         """
         x, log_slope = self.coordinates.mapped(u)
         prior, likelihood = self.densities_at(x)
         return prior + likelihood + log_slope, prior, likelihood
-
-    def log_probability(self, u: np.ndarray) -> np.ndarray:
-        """Return the log posterior, up to a constant, of coordinates (n_walkers, n_dimensions); -inf outside bounds."""
-        return self.densities(u)[0]
-
-    def start(self, n_walkers: int, rng: np.random.Generator) -> np.ndarray:
-        """Return walkers (n_walkers, n_dimensions) drawn from a standard normal, redrawn until all are inside the bounds."""
-        walkers = rng.standard_normal((n_walkers, self.n_dimensions))
-        for _ in range(200):
-            outside = ~np.isfinite(self.log_probability(walkers))
-            if not outside.any():
-                return walkers
-            walkers[outside] = rng.standard_normal((int(outside.sum()), self.n_dimensions))
-        raise RuntimeError("no start inside the bounds: Laplace's approximation lies outside them almost everywhere")
 
 
 def move_mixture(independent: float) -> list[tuple[Move, float]]:

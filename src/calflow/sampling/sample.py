@@ -55,7 +55,8 @@ def sample(
     walkers = length.walkers or 2 * n
     if message := too_few_walkers(length.walkers, n):
         raise refuse(message, key="walkers")
-    starts = [log_posterior.start(walkers, rng(f"ensemble{i}")) for i in range(length.ensembles)]
+    # A walker beyond a bound, at zero density, takes the first proposal within.
+    starts = [rng(f"ensemble{i}").standard_normal((walkers, n)) for i in range(length.ensembles)]
     accepted = _acceptance(log_posterior, starts[0], rng("pilot"))
     independent = length.independent if accepted > LOW_ACCEPTANCE else 0.0
     say(
@@ -90,7 +91,7 @@ def _acceptance(log_posterior: LogPosterior, walkers: np.ndarray, rng: np.random
     """Return the mean acceptance probability of one independence proposal from each start."""
     move = move_mixture(1.0)[0][0]
     proposed, log_ratio = move.get_proposal(walkers, np.random.RandomState(rng.integers(2**31)))
-    gain = log_posterior.log_probability(proposed) - log_posterior.log_probability(walkers) + log_ratio
+    gain = log_posterior.densities(proposed)[0] - log_posterior.densities(walkers)[0] + log_ratio
     return float(np.exp(np.minimum(gain, 0)).mean())
 
 
