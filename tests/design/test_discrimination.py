@@ -8,9 +8,9 @@ from itertools import combinations, permutations
 import numpy as np
 import pytest
 
-from calflow.design.discrimination import MOST_NEXT_POSES, criteria_between
+from calflow.design.discrimination import MOST_NEXT_POSES, discrimination
 from calflow.design.planned import Planned
-from calflow.design.t_optimality import TCriterion, propose
+from calflow.design.t_optimality import Discrimination
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.stepwise import WITHIN
@@ -74,8 +74,8 @@ def nearest(fitted, scores, rows):
 def test_proposed_poses_separate_more_than_random_ones(fitted, choices):
     """Breaks if poses are chosen for anything but what the other cannot imitate, or their worth is misstated."""
     scores = explanations(fitted, ECCENTRIC)
-    criteria = criteria_between(fitted, scores, choices, Planned(fitted.model.observations[0], SIGMA))
-    chosen, ends = propose(criteria, [(0, 1)], MOST_NEXT_POSES)
+    criteria = discrimination(fitted, scores, choices, Planned(fitted.model.observations[0], SIGMA))
+    chosen, ends = criteria.propose([(0, 1)], MOST_NEXT_POSES)
     after = ends[0, 1].separation
     assert len(set(chosen)) == MOST_NEXT_POSES
     for pair in ((0, 1), (1, 0)):
@@ -91,10 +91,10 @@ def test_proposed_poses_separate_more_than_random_ones(fitted, choices):
 def test_poses_for_all_serve_the_closest_pair(fitted, choices):
     """Breaks if poses that exclude one rival leave another as near as it was, or rivals as near each other."""
     scores = explanations(fitted, ECCENTRIC, SECOND)
-    criteria = criteria_between(fitted, scores, choices, Planned(fitted.model.observations[0], SIGMA))
+    criteria = discrimination(fitted, scores, choices, Planned(fitted.model.observations[0], SIGMA))
     pairs = list(combinations(range(3), 2))
-    alone = {pair: propose(criteria, [pair], MOST_NEXT_POSES) for pair in pairs}
-    chosen, ends = propose(criteria, pairs, MOST_NEXT_POSES)
+    alone = {pair: criteria.propose([pair], MOST_NEXT_POSES) for pair in pairs}
+    chosen, ends = criteria.propose(pairs, MOST_NEXT_POSES)
     together = min(criterion.separation for criterion in ends.values())
     assert together > 0.8 * min(after[pair].separation for pair, (_, after) in alone.items())
     assert together == pytest.approx(nearest(fitted, scores, choices.conditions[:, chosen]), rel=0.02)
@@ -111,7 +111,7 @@ def test_a_rival_is_excluded_as_often_as_is_said():
     columns = scale * np.column_stack([true, rival])
     own, sizes = [np.array([0]), np.array([1])], [np.array([0.45 / scale]), np.zeros(1)]
     nothing = np.zeros((1, 3, 2))
-    criterion = TCriterion.between(columns, nothing, np.arange(0), own, sizes, [0.0, dearer])[0, 1]
+    criterion = Discrimination.between(columns, nothing, np.arange(0), own, sizes, [0.0, dearer])[0, 1]
     seen = effect + rng.standard_normal((4000, 90))
     left = [(seen**2).sum(axis=1) - (seen @ one) ** 2 / (one @ one) for one in (rival, true)]
     excluded = np.mean(left[0] - left[1] + dearer > WITHIN)

@@ -28,7 +28,7 @@ from calflow.deployment.validation import OF_THE_SAME
 from calflow.design.candidates import candidates
 from calflow.design.optimality import ParameterCriterion
 from calflow.design.search import greedy
-from calflow.design.t_optimality import Pair, TCriterion, propose
+from calflow.design.t_optimality import Discrimination
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.needed_conditions import AT_REST, check_payload_stated
 from calflow.files.problems import InputError, refuse
@@ -129,9 +129,9 @@ def settling(
     possible = [rival for rival in rivals[:MOST_RIVALS] if rival.movement.name in there]
     if not possible:
         return nothing
-    criteria = _criteria(check, _left_open(check, bare, conditions, sigma, fitted), [best, *possible], there, sigma)
-    pairs = [(0, k) for k in range(1, len(possible) + 1)]
-    chosen, after = propose(criteria, pairs, POSES_PROPOSED)
+    nuisance = _left_open(check, bare, conditions, sigma, fitted)
+    explanations = _discrimination(check, nuisance, [best, *possible], there, sigma)
+    chosen, after = explanations.propose([(0, k) for k in range(1, len(possible) + 1)], POSES_PROPOSED)
     chance = min(separation.chance for separation in after.values())
     return _to_measure(model.robot, readings[chosen], payload, marker), chance if np.isfinite(chance) else None
 
@@ -155,11 +155,11 @@ def _left_open(
     return seen, new
 
 
-def _criteria(
+def _discrimination(
     check: CheckProblem, nuisance: tuple[np.ndarray, np.ndarray], every: Sequence[Explained], there: Mapping[str, Movement],
     sigma: float,
-) -> dict[Pair, TCriterion]:  # fmt: skip
-    """Return the criterion of each pair of movements, which the nuisance parameters of `_left_open` may imitate too."""
+) -> Discrimination:  # fmt: skip
+    """Return the discrimination of movements, which the nuisance parameters of `_left_open` may imitate too."""
     whitening = np.sqrt(np.repeat(check.own, 3))[:, None]
     seen, new = [nuisance[0]], [nuisance[1]]
     for explained in every:
@@ -168,7 +168,9 @@ def _criteria(
         new.append(there[explained.movement.name].slope * sd / sigma)
     common, *own = (np.r_[span] for span in consecutive(part.shape[1] for part in seen))
     effects = [explained.size / explained.movement.sd for explained in every]
-    return TCriterion.between(np.hstack(seen), np.concatenate(new, axis=2), common, own, effects, [0.0] * len(every))
+    return Discrimination.between(
+        np.hstack(seen), np.concatenate(new, axis=2), common, own, effects, [0.0] * len(every)
+    )
 
 
 Status = Literal["in place", "moved", "conditions", "cannot be told", "cannot be seen"]

@@ -12,7 +12,7 @@ import numpy as np
 
 from calflow.design.candidates import candidates
 from calflow.design.planned import Planned
-from calflow.design.t_optimality import Pair, TCriterion, closest, propose
+from calflow.design.t_optimality import Discrimination, Pair, TCriterion
 from calflow.diagnosis.diagnosis import Diagnosis
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import Score
@@ -207,10 +207,10 @@ def _asked(
 ) -> tuple[list[SeparationRow], Plan | None]:
     """Return how far poses separate a finding from rivals, and those that do; others: rivals for which none are sought."""
     scores = [replace(finding.own, cost=0.0), *(replace(r.score, cost=r.cost) for r in rivals if r.score)]
-    criteria = criteria_between(fitted, scores, choices, planned)
-    before = {pair: closest(criteria, pair) for pair in combinations(range(len(scores)), 2)}
-    alone = {pair: propose(criteria, [pair], MOST_NEXT_POSES)[1][pair] for pair in before}
-    chosen, together = _together(criteria, alone)
+    explanations = discrimination(fitted, scores, choices, planned)
+    before = {pair: explanations.closest(pair) for pair in combinations(range(len(scores)), 2)}
+    alone = {pair: explanations.propose([pair], MOST_NEXT_POSES)[1][pair] for pair in before}
+    chosen, together = _together(explanations, alone)
     after = alone | together
     rows = []
     for k, rival in enumerate(rivals, start=1):
@@ -231,10 +231,8 @@ def _asked(
     )  # fmt: skip
 
 
-def criteria_between(
-    fitted: Fitted, scores: Sequence[Score], choices: Measurements, planned: Planned
-) -> dict[Pair, TCriterion]:
-    """Return the criterion of each pair of explanations of a finding (see `TCriterion.between`).
+def discrimination(fitted: Fitted, scores: Sequence[Score], choices: Measurements, planned: Planned) -> Discrimination:
+    """Return the discrimination of the explanations of a finding by further poses.
 
     Args:
         fitted: the fitted model.
@@ -253,11 +251,11 @@ def criteria_between(
     seen = probed(LeastSquares.of(both, fitted.data, fitted.noise), point, ())[1] * sd
     new = planned.whitened(both, point, choices.conditions) * sd
     effects = [score.estimate / sd[columns] for score, columns in zip(scores, own, strict=True)]
-    return TCriterion.between(seen, new, common, own, effects, costs)
+    return Discrimination.between(seen, new, common, own, effects, costs)
 
 
 def _together(
-    criteria: Mapping[Pair, TCriterion], alone: Mapping[Pair, TCriterion]
+    explanations: Discrimination, alone: Mapping[Pair, TCriterion]
 ) -> tuple[list[int], dict[Pair, TCriterion]]:
     """Choose poses that serve as many pairs as possible together, those of the finding (number 0) first.
 
@@ -266,7 +264,7 @@ def _together(
     possible = [pair for pair, criterion in alone.items() if criterion.chance >= ENOUGH]
     left = [(i, k) for i, k in possible if i == 0 or {(0, i), (0, k)} <= set(possible)]
     while any(i == 0 for i, _ in left):
-        chosen, after = propose(criteria, left, MOST_NEXT_POSES)
+        chosen, after = explanations.propose(left, MOST_NEXT_POSES)
         hard = [pair for pair in left if after[pair].chance < ENOUGH]
         if not hard:
             return chosen, after

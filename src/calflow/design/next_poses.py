@@ -39,7 +39,6 @@ from calflow.estimation.probing import probed
 from calflow.estimation.progress import Draws
 from calflow.faults import as_table
 from calflow.files.deferred import pd
-from calflow.files.problems import refuse
 from calflow.files.tables import Results, column, to_document, typed
 from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements
@@ -295,7 +294,9 @@ def next_step(
         nothing = planned_poses(bare, asked, np.zeros((0, bare.robot.n_joints))).assign(reason="")
         return NextStep(verdict, numbered_on(nothing, data), calibrated)
     planned = planned_like(fitted, fitted_share(data))
-    choices = _choices(bare, fitted.data, planned, asked, rng("candidates"))
+    drawing = rng("candidates")
+    readings = asked.choice(bare, planned.observation, drawing, 1)
+    choices = rows_like(fitted.data, readings, (asked.payload,) * len(readings), drawing)
     every = uncertainties(fitted, _material(causes, error), rivals, at_task, planned, choices)
     chosen = further_poses(every, questions(diagnosis, data, rng, choices), choices, asked.measure, asked.number)
     return NextStep(verdict, numbered_on(_table(bare, choices, chosen, asked), data), calibrated)
@@ -311,7 +312,9 @@ def _verdict(
     causes: Sequence[LackingCause], catalogue: Catalogue, error: TaskError, asked: SelectionRequest, confidence: float, rng: Draws,
 ) -> MeasuringVerdict:  # fmt: skip
     tolerance = asked.tolerance
-    probability = None if tolerance is None else error.probability(tolerance)
+    probability, at_best = (
+        None if tolerance is None else float(np.mean(drawn <= tolerance)) for drawn in (error.every, error.lacking)
+    )
     status: Status = "no tolerance" if probability is None else "stop" if probability >= confidence else "measure"
     heldout = data.only(data.held_out)
     outside = distances(errors(fitted.model, fitted.fit.estimate, heldout, METRE))
@@ -320,24 +323,14 @@ def _verdict(
     return MeasuringVerdict(
         status=status, poses=data.table["pose"].nunique(), fitted_poses=fitted.data.table["pose"].nunique(),
         measure=asked.measure, tolerance_mm=in_mm(tolerance), confidence=confidence, probability=probability,
-        probability_at_best=None if tolerance is None else error.within_at_best(tolerance),
-        error_mm=in_mm(error.quantile(0.5)), error_most_mm=in_mm(error.quantile(confidence)),
+        probability_at_best=at_best,
+        error_mm=in_mm(float(np.median(error.every))), error_most_mm=in_mm(float(np.quantile(error.every, confidence))),
         heldout_rms_mm=in_mm(float(np.sqrt((outside**2).mean()))) if len(outside) else None,
         leftout_rms_mm=in_mm(fitted.left_out.rms), elsewhere_mm=in_mm(float(fitted.left_out.excess())),
         noise_mm=in_mm(fitted.noise.typical(METRE)) or None, noise_known=fitted.noise.known,
         found=tuple(finding.statement for finding in lacking), suspected=_suspects(diagnosis, fitted, causes),
         untested=tuple(sorted(catalogue.lacking)), notes=data.notes,
     )  # fmt: skip
-
-
-def _choices(
-    model: Model, data: Measurements, planned: Planned, asked: SelectionRequest, rng: np.random.Generator
-) -> Measurements:
-    """Return candidate poses, drawn within cell, region and limits or stated, under conditions like those measured."""
-    readings = asked.choice(model, planned.observation, rng)
-    if not len(readings):
-        raise refuse("no pose of candidates_file is within limits and region, and allowed by the cell")
-    return rows_like(data, readings, (asked.payload,) * len(readings), rng)
 
 
 def _table(model: Model, choices: Measurements, reasons: Mapping[int, str], asked: SelectionRequest) -> pd.DataFrame:

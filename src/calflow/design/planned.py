@@ -220,9 +220,25 @@ class SelectionRequest:
             say(f"of those stated within joint limits and region {refused_words(refusals)}")
         return good
 
-    def choice(self, model: Model, seen: Observation, rng: np.random.Generator, say: Say = nobody) -> np.ndarray:
-        """Return candidate readings (n, n_joints): drawn to suit an observation, or the admissible stated ones."""
-        if self.stated is not None:
-            return self.stated[self.allowed(model, self.stated, say)]
-        asked = self.payload, self.marker, self.region
-        return candidates(model, self.candidates, *asked, rng, seen, self.cell, say)[0]
+    def choice(
+        self, model: Model, seen: Observation, rng: np.random.Generator, least: int, say: Say = nobody
+    ) -> np.ndarray:
+        """Return candidate readings (n, n_joints): drawn to suit an observation, or the admissible stated ones.
+
+        Raises:
+            InputError: hardly any pose reaches the region, or fewer than `least` of those stated are admissible.
+        """
+        if self.stated is None:
+            asked = self.payload, self.marker, self.region
+            return candidates(model, self.candidates, *asked, rng, seen, self.cell, say)[0]
+        if self.stated.shape[1] != model.robot.n_joints:
+            shape = f"(n, {model.robot.n_joints})"
+            raise refuse(f"expected joint readings of shape {shape}, found {self.stated.shape}", key="stated")
+        readings = self.stated[self.allowed(model, self.stated, say)]
+        if len(readings) < least:
+            region, cell = (", region", " and cell") if self.cell else (" and region", "")
+            raise refuse(
+                f"of {len(self.stated)} stated poses {len(readings)} are within joint limits{region}{cell}, "
+                f"{least} are to be chosen"
+            )
+        return readings

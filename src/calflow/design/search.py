@@ -233,7 +233,7 @@ def greedy(jacobians: np.ndarray, prior: np.ndarray, number: int, criterion: Cri
     for _ in range(number):
         best = _best(jacobians, basis, chosen, criterion)[0]
         chosen.append(best)
-        basis = _updated(basis, jacobians[best], basis[best], +1)
+        basis = updated(basis, jacobians[best], basis[best], +1)
     return chosen
 
 
@@ -244,12 +244,12 @@ def exchange(jacobians: np.ndarray, prior: np.ndarray, chosen: Sequence[int], cr
         swapped = False
         basis = _basis(jacobians, prior, chosen, criterion)  # recomputed against accumulated rounding
         for k, old in enumerate(chosen):
-            without = _updated(basis, jacobians[old], basis[old], -1)
+            without = updated(basis, jacobians[old], basis[old], -1)
             best, gains = _best(jacobians, without, [*chosen[:k], *chosen[k + 1 :]], criterion)
             if gains[best] > (1 + SMALLEST_GAIN) * gains[old]:
                 chosen[k] = best
                 swapped = True
-                basis = _updated(without, jacobians[best], without[best], +1)
+                basis = updated(without, jacobians[best], without[best], +1)
         if not swapped:
             break
     return chosen
@@ -271,7 +271,7 @@ def _basis(jacobians: np.ndarray, prior: np.ndarray, chosen: Sequence[int], crit
     return np.asarray(jacobians @ np.hstack([covariance, covariance @ criterion.root]))
 
 
-def _updated(basis: np.ndarray, pose: np.ndarray, gain: np.ndarray, sign: int) -> np.ndarray:
+def updated(basis: np.ndarray, pose: np.ndarray, gain: np.ndarray, sign: int) -> np.ndarray:
     """Return the basis after adding (+1) or removing (-1) a pose (n_axes, n_parameters), by Woodbury's formula."""
     n = pose.shape[1]
     inner = np.linalg.solve(np.eye(len(pose)) + sign * gain[:, :n] @ pose.T, gain)

@@ -11,7 +11,7 @@ from calflow.design.measuring_order import DriftPull, drift_pulls, orders, reach
 from calflow.design.optimality import Criterion, ParameterCriterion, ToolError, indices, information
 from calflow.design.planned import Aim, SelectionRequest, Task
 from calflow.design.refinement import refined_poses
-from calflow.design.search import SearchResult, greedy, search_poses, search_worst
+from calflow.design.search import greedy, search_poses, search_worst
 from calflow.design.worth import HowMany, PlanInformation, Worth, knee, next_best, poses_for_tolerance
 from calflow.estimation.identifiability import NULL
 from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
@@ -157,7 +157,7 @@ def select(
     request = replace(request, marker=request.marker or next(iter(model.robot.markers)))
     if not model.observations:
         model = replace(model, observations=(request.planned.observation,))
-    readings = _candidates(model, request, rng, say)
+    readings = request.choice(model, request.planned.observation, rng("candidates"), request.number, say)
     conditions = request.rows(model, readings)
     advance(0.3)
     whitened, prior = request.whitened(model, conditions), np.eye(len(model.parameters))
@@ -174,7 +174,11 @@ def select(
         result = search_worst(whitened, prior, request.number, tool, rng("search"))
     else:
         result = search_poses(whitened, prior, request.number, criterion, rng("search"))
-    certificate = _certificate(result, request.aim, whitened)
+    unit = 1.0 if request.aim == "parameters" else 1e3
+    certificate = Certificate(
+        criterion=request.aim, n_poses=request.number, n_candidates=len(whitened), n_parameters=len(prior),
+        loss=unit * result.loss, least_loss=unit * result.bound, could_gain_percent=100 * result.could_gain,
+    )  # fmt: skip
     say(
         f"no other {request.number} of these candidates are better by more than {certificate.could_gain_percent:.2g} % "
         f"({'standard deviations' if request.aim == 'parameters' else 'tool error'})"
@@ -203,21 +207,6 @@ def select(
     )  # fmt: skip
 
 
-def _candidates(model: Model, request: SelectionRequest, rng: Draws, say: Say) -> np.ndarray:
-    """Return candidate joint readings (n, n_joints)."""
-    if request.stated is not None and request.stated.shape[1:] != (model.robot.n_joints,):
-        shape = f"(n, {model.robot.n_joints})"
-        raise refuse(f"expected joint readings of shape {shape}, found {request.stated.shape}", key="stated")
-    readings = request.choice(model, request.planned.observation, rng("candidates"), say)
-    if request.stated is not None and len(readings) < request.number:
-        region, cell = ("," if request.cell else " and"), (" and cell" if request.cell else "")
-        raise refuse(
-            f"of {len(request.stated)} stated poses {len(readings)} are within joint limits{region} region{cell}, "
-            f"{request.number} are to be chosen"
-        )
-    return readings
-
-
 def _how_many(plan: PlanInformation, whitened: np.ndarray, curve: pd.DataFrame, rng: Draws) -> HowMany:
     """Return the gain by ten more poses, the bend of the curve, and the number of poses that meets a tolerance."""
     request, met, needed = plan.request, None, None
@@ -231,19 +220,6 @@ def _how_many(plan: PlanInformation, whitened: np.ndarray, curve: pd.DataFrame, 
         tolerance_mm=None if request.tolerance is None else 1e3 * request.tolerance,
         enough_poses=met,
         needed_poses=needed,
-    )
-
-
-def _certificate(result: SearchResult, aim: Aim, whitened: np.ndarray) -> Certificate:
-    unit = 1.0 if aim == "parameters" else 1e3
-    return Certificate(
-        criterion=aim,
-        n_poses=len(result.chosen),
-        n_candidates=len(whitened),
-        n_parameters=whitened.shape[2],
-        loss=unit * result.loss,
-        least_loss=unit * result.bound,
-        could_gain_percent=100 * result.could_gain,
     )
 
 

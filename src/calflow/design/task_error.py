@@ -100,18 +100,6 @@ class TaskError:
     lacking: np.ndarray
     having: tuple[str, ...]
 
-    def probability(self, tolerance: float) -> float:
-        """Return the probability that the error is within a tolerance [m]."""
-        return float(np.mean(self.every <= tolerance))
-
-    def within_at_best(self, tolerance: float) -> float:
-        """Return the same with all parameters known: the limit for more poses if these reveal no further cause."""
-        return float(np.mean(self.lacking <= tolerance))
-
-    def quantile(self, share: float) -> float:
-        """Return a quantile [m] of the error."""
-        return float(np.quantile(self.every, share))
-
 
 @dataclass(frozen=True, eq=False)
 class TaskSlopes:
