@@ -661,27 +661,6 @@ def _evaluate(function: ca.Function, p: np.ndarray, rows: Sequence[np.ndarray], 
         fill(mapped, [every, *(row[part] for row in rows)], [value[part] for value in values])
 
 
-def over_points(function: ca.Function, points: np.ndarray, *rows: np.ndarray) -> np.ndarray:
-    """Return a function (p, row, ...) -> one dense output at points (n_points, n_parameters), each with all rows.
-
-    The answer is (n_points, n_rows, size). Points with few rows are evaluated together: preparing takes as long as some rows.
-    """
-    n_points, n_rows = len(points), rows[0].shape[1]
-    values = np.empty((n_points, n_rows, function.numel_out(0)))
-    if not values.size:
-        return values
-    together = min(n_points, max(1, BLOCK_ROWS // n_rows))
-    if together == 1:
-        for p, value in zip(points, values, strict=True):
-            value[:] = over_rows(function, p, *rows)[0].T
-        return values
-    mapped, repeated = _mapped(function, together * n_rows), [np.tile(row.T, (together, 1)) for row in rows]
-    for start in [*range(0, n_points - together, together), n_points - together]:
-        part = slice(start, start + together)
-        fill(mapped, [np.repeat(points[part], n_rows, axis=0), *repeated], [values[part]])
-    return values
-
-
 def fill(function: ca.Function, inputs: Sequence[np.ndarray], outputs: Sequence[np.ndarray]) -> None:
     """Evaluate a function on NumPy arrays in place, without copies; arrays are contiguous, in CasADi's column-major order."""
     buffer, evaluate = function.buffer()

@@ -20,7 +20,6 @@ from calflow.robot.robot import Robot
 
 RELATIVE_RADIUS = 0.04  # of a link, relative to the stretched arm: typical of the library's robots
 TOUCHING = 1e-9  # m: distance below which a line intersects a body, by rounding
-BLOCK_POSES = 8192  # poses per block, to fit a processor's cache
 
 
 @dataclass(frozen=True)
@@ -154,13 +153,11 @@ class Cell(Record):
     def refusals(self, model: Model, conditions: np.ndarray, marker: str) -> np.ndarray:
         """Return the first of RULES, from 1, that rejects each packed row (n_conditions, n); 0 if none does, (n,)."""
         refusal = np.zeros(conditions.shape[1], dtype=int)
-        for begin in range(0, len(refusal), BLOCK_POSES):
-            left = np.arange(begin, min(begin + BLOCK_POSES, len(refusal)))
-            at = Skeleton.of(model.robot, conditions[: model.robot.n_joints, left].T, marker)
-            for number, rule in enumerate(RULES.values(), start=1):
-                good = reduce(np.logical_and, rule(self, model, conditions[:, left], at), np.full(len(left), True))
-                refusal[left[~good]] = number
-                left, at = left[good], at.part(good)
+        left, at = np.arange(len(refusal)), Skeleton.of(model.robot, conditions[: model.robot.n_joints].T, marker)
+        for number, rule in enumerate(RULES.values(), start=1):
+            good = reduce(np.logical_and, rule(self, model, conditions[:, left], at), np.full(len(left), True))
+            refusal[left[~good]] = number
+            left, at = left[good], at.part(good)
         return refusal
 
     def radii(self, robot: Robot) -> np.ndarray:

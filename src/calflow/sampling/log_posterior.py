@@ -20,7 +20,7 @@ from calflow.estimation.fit import Fit, fit
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import averaged
 from calflow.measurements.measurements import Measurements
-from calflow.model import compiled, over_points
+from calflow.model import compiled, over_rows
 
 if TYPE_CHECKING:
     from emcee.moves import Move
@@ -260,7 +260,7 @@ def _sum_of_squares(problem: LeastSquares) -> Squares:
     def squares(values: np.ndarray) -> np.ndarray:
         found = np.zeros(values.shape[1])
         for block, row in rows:
-            errors = map(block.decorrelated, over_points(row, values.T, *block.data))
+            errors = (block.decorrelated(over_rows(row, point, *block.data)[0].T) for point in values.T)
             found += [np.vdot(error, error) for error in errors]
         return found
 
