@@ -10,6 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import calflow as cf
+import robots
 from calflow.design.candidates import packed_conditions
 from calflow.estimation.registration import base_turn, registered
 from calflow.measurements.measurements import Measurements
@@ -61,6 +62,38 @@ def test_full_poses_place_a_target_of_which_nobody_knows_anything(seed):
     found, _ = registered(stated, observations(data), data)
     placed = build(found, ()).position(np.zeros(0), conditions)
     assert np.linalg.norm(placed - position, axis=1).mean() < 3e-4
+
+
+def test_what_is_stated_of_a_marker_is_about_its_place_in_the_robot_file(tmp_path):
+    """Fails if it is about the place with which the nominal robot fits best: the last link would be too short."""
+    robot = replace(robot_with_two_markers(), base=Base(known=False))
+    stated = [
+        cf.Expected(name=f"{part}.{axis}", unit=unit, mean=0.0, sd=sd)
+        for part, axes, unit, sd in (("E", "xyz", "m", 2e-5), ("markers", ("rx", "ry", "rz"), "rad", 1e-4))
+        for axis in axes
+    ]
+    figures = robots.figures(robot)
+    figures["d"][5] += 1e-3
+    figures["theta"][5] += 2e-3
+    q = robots.poses(robot, 50)
+    seen = [robots.marker_position(robot, q, figures, marker) for marker in range(2)]
+    noise = 2e-5 * np.random.default_rng(4).standard_normal((100, 3))
+    data = Measurements.from_arrays(
+        robot, np.vstack([q, q]), np.vstack(seen) + noise, marker=["E"] * 50 + ["F"] * 50, pose=np.tile(np.arange(50), 2),
+        sigma=2e-5,
+    ).split(0.2, 1)  # fmt: skip
+    told = cf.identify(replace(robot, expected=tuple(stated)), data, effects=["geometry"])
+    for found in (told, cf.Calibration.load(told.save(tmp_path / "run"))):
+        assert found.parameters["joint6.d"].value == pytest.approx(1e-3, abs=6e-5)
+        assert found.parameters["joint6.theta"].value == pytest.approx(2e-3, abs=3e-4)
+        assert found.model.prior_mean == pytest.approx(told.model.prior_mean, abs=1e-12)
+
+
+def robot_with_two_markers():
+    """An arm with masses of which nobody needs any, and two reflectors well apart on its flange."""
+    return industrial(
+        markers={"E": {"point_m": [0.12, 0, 0.1]}, "F": {"point_m": [-0.1, 0.08, 0.15], "relative_sd_mm": 0.02}}
+    )
 
 
 def test_turns_about_one_line_do_not_tell_how_the_base_is_turned():

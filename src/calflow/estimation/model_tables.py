@@ -22,6 +22,7 @@ from calflow.estimation.least_squares import Loss
 from calflow.estimation.needed_conditions import NeededCondition
 from calflow.estimation.noise import Noise, PerUnit, Source
 from calflow.estimation.parameters import FittedParameter, covariance_table
+from calflow.estimation.registration import about_places
 from calflow.estimation.residual_field import SUMMARY as FIELD
 from calflow.estimation.residual_field import read_field
 from calflow.estimation.smooth_functions import SmoothFunction
@@ -462,7 +463,8 @@ def placed(robot: Robot, results: Results) -> Robot:
     base = robot.base if robot.base.known else Base(origin=at["base", "base"], rotation=turn["base"], known=False)
     markers = {name: replace(marker, point=at["marker", name]) for name, marker in robot.markers.items()}
     tool = robot.tool_rotation and turn["tool"]
-    return replace(robot, base=base, markers=markers, tool_rotation=tool)
+    moved = replace(robot, base=base, markers=markers, tool_rotation=tool)
+    return replace(moved, expected=about_places(robot, moved))
 
 
 def _kind(effect: str) -> type[Effect]:

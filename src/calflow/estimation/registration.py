@@ -21,7 +21,7 @@ from calflow.observations import Observation
 from calflow.observations.position import Position
 from calflow.robot.frames import Vector, angles, vector
 from calflow.robot.mechanism import Row, nominal_dimensions
-from calflow.robot.parts import Base
+from calflow.robot.parts import Base, Expected
 from calflow.robot.robot import Robot
 
 ROUNDS = 8  # iterations of reweighting by 1 / distance (least absolute deviations), which suppresses outliers
@@ -202,9 +202,10 @@ def _located(robot: Robot, observed: tuple[Observation, ...], train: Measurement
     result, _ = fit(LeastSquares.of(model, train.on(placed), noise), loss="soft_l1")
     corrections = result.estimate[result.model.columns(model.effects[0])]
     dims = PlacementErrors(placed).dimensions(ca.SX(corrections), nominal_dimensions(placed), Row.symbols(placed))
-    return with_placement_errors(
+    moved = with_placement_errors(
         placed, *(np.array(ca.evalf(errors)) for errors in (dims.base, dims.tool_rotation, dims.markers))
     )
+    return replace(moved, expected=about_places(robot, moved))
 
 
 def in_measuring_frame(observed: tuple[Observation, ...], data: Measurements) -> np.ndarray:
@@ -229,6 +230,32 @@ def with_placement_errors(robot: Robot, base: np.ndarray, tool: np.ndarray, mark
     if robot.tool_rotation is None:
         return moved
     return replace(moved, tool_rotation=_angles(_tool(robot) * Rotation.from_euler("XYZ", tool[:, 0])))
+
+
+def about_places(stated: Robot, placed: Robot) -> tuple[Expected, ...]:
+    """Return what is stated of the parameters of known markers about the places where these now are, and the rest as it is.
+
+    A statement on a marker is about its place in the robot file, not about the one with which the nominal robot fits best.
+    """
+    before, after = (np.array([marker.point for marker in robot.markers.values()]) for robot in (stated, placed))
+    known = {
+        name: k for k, (name, marker) in enumerate(stated.markers.items()) if marker.known and not marker.relative_sd
+    }
+    shifts = {f"{name}.{axis}": (after - before)[k, i] for name, k in known.items() for i, axis in enumerate("xyz")}
+    beside = [k for k, marker in enumerate(stated.markers.values()) if marker.relative_sd]
+    if beside and 0 in known.values():
+        turn = Rotation.align_vectors(after[beside] - after[0], before[beside] - before[0])[0]
+        shifts |= zip(("markers.rx", "markers.ry", "markers.rz"), turn.as_euler("XYZ"), strict=True)
+
+    def about(expected: Expected) -> Expected:
+        shift, held = float(shifts[expected.name]), (expected.value or 0.0) if expected.fixed else None
+        mean, lower, upper, value = (
+            None if figure is None else figure - shift
+            for figure in (expected.mean, expected.lower, expected.upper, held)
+        )
+        return replace(expected, mean=mean, lower=lower, upper=upper, value=value)
+
+    return tuple(about(expected) if expected.name in shifts else expected for expected in stated.expected)
 
 
 def _with_base(robot: Robot, turn: Rotation, origin: np.ndarray) -> Robot:
