@@ -504,6 +504,18 @@ class Model:
         """Return the Jacobian of `point`, shape (n_rows, 3, n_parameters)."""
         return self.figures("point_jacobian", lambda p, c, at: [ca.jacobian(at.point, p)], p, conditions)[0]
 
+    def carried(self, p: np.ndarray, conditions: np.ndarray, places: np.ndarray) -> np.ndarray:
+        """Return points (n_rows, 3) [m] of the last link, each at a place in its frame, in the measuring frame."""
+        frame = self.link(self.robot.links[-1], p, conditions)
+        return np.asarray(np.einsum("nij,nj->ni", frame[:, :3, :3], places) + frame[:, :3, 3])
+
+    def carried_jacobian(self, p: np.ndarray, conditions: np.ndarray, places: np.ndarray) -> np.ndarray:
+        """Return the Jacobian of `carried`, shape (n_rows, 3, n_parameters)."""
+        slope = self.figures(
+            "carried", lambda p, c, at: [ca.jacobian(at.link(self.robot.links[-1])[:3, :], p)], p, conditions
+        )[0].reshape(len(places), 4, 3, -1)  # a column of the frame after the other
+        return np.asarray(np.einsum("ncip,nc->nip", slope[:, :3], places) + slope[:, 3])
+
     def rotation_jacobian(self, p: np.ndarray, conditions: np.ndarray) -> np.ndarray:
         """Return the Jacobian of the tool's rotation about its own axes, shape (n_rows, 3, n_parameters)."""
         return self.figures("rotation_jacobian", lambda p, c, at: [turning(at.rotation, p)], p, conditions)[0]

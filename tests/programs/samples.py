@@ -259,7 +259,9 @@ class Hand:
         """No arm at all."""
         return [ArmPosture((), None, None)] * len(readings)
 
-    def corrected(self, readings: np.ndarray, names: list[str], runs: list[list[int]]) -> CorrectedReadings:
+    def corrected(
+        self, readings: np.ndarray, tools: np.ndarray, names: list[str], runs: list[list[int]]
+    ) -> CorrectedReadings:
         """Readings with the shift, and nothing in the way."""
         n = len(readings)
         shifted = readings + np.array(self.shift)

@@ -91,6 +91,23 @@ def test_a_corrected_program_lands_where_it_says():
         assert angle_between(place, aim) < 5e-6
 
 
+def test_what_is_promised_of_a_tool_is_not_what_is_known_of_the_marker():
+    """Fails if what positions of one marker leave open of the flange, its turn, is not in the error promised of another point."""
+    corrector, turn = calibrated(industrial(), sizes=0.1), 2e-3
+    known = corrector.calibrated
+    covariance, names = np.zeros_like(known.covariance), [parameter.name for parameter in known.model.parameters]
+    k = names.index("joint6.theta")
+    covariance[k, k] = turn**2
+    corrector = replace(corrector, calibrated=replace(known, covariance=covariance))
+    source = rapid_program(corrector, usual(corrector, 4))
+    done = filtered(parsed(source, Path("weld.mod")), corrector, FilterSettings({}, {}))
+    off_axis = 1e3 * np.hypot(*TOOL[:2, 3])
+    assert [row.promised_mm for row in done.rows if row.kind == "pose"] == pytest.approx(
+        [turn * off_axis] * 4, rel=1e-3
+    )
+    assert any("how flange and marker lie to each other" in note for note in done.notes)
+
+
 def inverted(flange, near):
     """The controller's readings at a pose, by plain numpy of the maker's figures."""
     alpha, a, d = np.deg2rad((0, -90, 0, -90, 90, -90)), (0, 0.312, 1.075, 0.225, 0, 0), (0.67, 0, 0, 1.28, 0, 0.215)
@@ -161,9 +178,9 @@ def test_a_controller_shows_the_readings_that_its_configuration_means():
     asked: list[np.ndarray] = []
 
     class Watched(CalibratedRobot):
-        def corrected(self, readings, names, runs):
+        def corrected(self, readings, tools, names, runs):
             asked.append(readings)
-            return super().corrected(readings, names, runs)
+            return super().corrected(readings, tools, names, runs)
 
     watched = Watched(corrector.calibrated, corrector.rows)
     done = filtered(parsed(SHOWN.encode(), Path("poses.ls")), watched, FilterSettings({}, {}))
@@ -311,7 +328,7 @@ def test_what_nothing_tells_follows_the_target_before():
     done = filtered(parsed(source, Path("p.script")), corrector, FilterSettings({}, {}))
     assert [row.outcome for row in done.rows] == ["moved"] * 5
     assert all("nearest to the target before" in row.note for row in done.rows[1:])
-    plain = corrector.corrected(way, list("abcde"), [range(5)])
+    plain = corrector.corrected(way, np.zeros((5, 3)), list("abcde"), [range(5)])
     told = np.rad2deg(np.abs(plain.readings - way).max(axis=1))
     np.testing.assert_allclose([row.largest_deg for row in done.rows], told, rtol=1e-4)
 

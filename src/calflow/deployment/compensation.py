@@ -43,6 +43,7 @@ SAME_TRAVEL = 1e-4  # rad or m
 SETTLES = 5  # iterations in which approach directions and commands must agree
 NEAR_SINGULAR = np.deg2rad(1.0)
 MOST_NAMED = 10  # targets that a note names
+WORTH_TELLING = 5e-5  # m: standard deviation of a tool's place beyond its marker's, from which that is said
 AXES = ("x", "y", "z")
 
 
@@ -225,7 +226,7 @@ def compensate(
 
 def compensate_rows(
     calibrated: CalibratedModel, data: Measurements, targets: Targets, *, start: np.ndarray | None = None,
-    in_order: bool = False, missing: Missing = "refuse", seed: int = 1,
+    in_order: bool = False, missing: Missing = "refuse", seed: int = 1, places: np.ndarray | None = None,
 ) -> Compensation:  # fmt: skip
     """Return the joint readings, nearest to the nominal robot's, with which the calibrated robot reaches the targets.
 
@@ -237,6 +238,7 @@ def compensate_rows(
         in_order: commands follow each other, so that approach directions and travel of the joints follow from them.
         missing: as in `predict_rows`.
         seed: of the random poses from which nominal readings are searched.
+        places: places (n, 3) [m] on the last link whose standard deviations are asked; None: the markers'.
 
     Raises:
         InputError: a condition that an effect needs is missing.
@@ -273,7 +275,7 @@ def compensate_rows(
         conditions, aims = stated.data.conditions[:, ~settled], targets.only(~settled)
         again = field_landing(stated.calibrated, conditions, aims, start[~settled], landed.readings[~settled])
         landed = landed.with_rows(~settled, again)
-    found = _judged(stated, targets, start, landed, ways, settled, elsewhere, common)
+    found = _judged(stated, targets, start, landed, ways, settled, elsewhere, common, places)
     return replace(found, sd=np.sqrt(found.sd**2 + unknown))
 
 
@@ -304,7 +306,7 @@ def _same_way(first: Measurements, other: Measurements) -> np.ndarray:
 
 def _judged(
     stated: StatedModel, targets: Targets, start: np.ndarray, landed: Landing, ways: bool, settled: np.ndarray,
-    elsewhere: np.ndarray, common: np.ndarray,
+    elsewhere: np.ndarray, common: np.ndarray, places: np.ndarray | None,
 ) -> Compensation:  # fmt: skip
     """Return the compensation with predicted errors of the readings found and of the nominal ones."""
     calibrated, model = stated.calibrated, stated.calibrated.model
@@ -319,6 +321,8 @@ def _judged(
     remaining, turned = misses(data.conditions)
     nominal_miss, nominal_turned = misses(_led(stated, start, ways).data.conditions)
     clear = clearance(model, data.conditions, oriented)
+    of_marker = calibrated.position_variance(data.conditions)
+    variance = of_marker if places is None else calibrated.carried_variance(data.conditions, places)
     names, lost = data.table["pose"].astype(str).to_numpy(), ~landed.reached
     notes = [
         *_of_rows(f"out of reach within the joint limits ({1 + TRIED} starts tried)", lost & ~elsewhere, names),
@@ -338,14 +342,27 @@ def _judged(
         *stated.notes,
         *of_field(calibrated, data.conditions),
         *(not_known(calibrated, data.conditions) if oriented else ()),
+        *_apart(calibrated, variance - of_marker),
     ]  # fmt: skip
     return Compensation(
         landed.readings, remaining, turned, landed.reached,
-        np.sqrt(calibrated.position_variance(data.conditions) + stated.widened),
+        np.sqrt(variance + stated.widened),
         np.sqrt(calibrated.rotation_variance(data.conditions)) if oriented else None,
         start, nominal_miss, nominal_turned, clear, data, tuple(notes),
         calibrated.field_correction(data.conditions) if calibrated.field else None,
     )  # fmt: skip
+
+
+def _apart(calibrated: CalibratedModel, beyond: np.ndarray) -> list[str]:
+    """Return a note where tools are known worse than the marker; beyond (n_rows, 3) [m²]: their variance less the marker's."""
+    apart, marker = np.sqrt(max(0.0, beyond.sum(axis=1).mean())), next(iter(calibrated.model.robot.markers))
+    if apart < WORTH_TELLING:
+        return []
+    return [
+        f"of the error to expect of the tools {1e3 * apart:.2g} mm is how flange and marker lie to each other, which these "
+        "measurements do not tell better; at all targets it is the same in the tool's frame. State in the study what is known of "
+        f"the marker's place on the flange: [parameters.{marker}.z] with prior_mean_mm = 0, prior_sd_mm, and so on"
+    ]
 
 
 def _of_rows(what: str, which: np.ndarray, names: np.ndarray) -> list[str]:

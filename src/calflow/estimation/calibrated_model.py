@@ -205,6 +205,21 @@ class CalibratedModel:
         smooth = [(self.errors.shared(slopes, self.covariance) ** 2).sum(axis=2) for slopes in every]
         return of_choice + np.concatenate(smooth) + self.errors.rest[METRE] ** 2
 
+    def carried_variance(self, conditions: np.ndarray, places: np.ndarray) -> np.ndarray:
+        """Return that of points of the last link, at places (n_rows, 3) [m] in its frame, instead of the markers'.
+
+        A marker's error says nothing of what the data cannot tell from its place on the link, as the last link's length.
+        """
+        slopes = self.model.carried_jacobian(self.estimate, conditions, places)
+        every = choice_errors(self.alternatives, *self._fitted, lambda m, p: m.carried(p, conditions, places))
+        of_choice = (every**2).sum(axis=2)
+        if self.field:
+            covariance = self.errors.about_mean(self.covariance)
+            return np.asarray(of_choice + of_parameters(slopes, covariance) + self.left_variance(conditions))
+        slopes = np.concatenate([slopes, self.errors.moved(*self._fitted, conditions)], axis=2)
+        smooth = (self.errors.shared(slopes, self.covariance) ** 2).sum(axis=2)
+        return np.asarray(of_choice + smooth + self.errors.rest[METRE] ** 2)
+
     def shared_errors(self, conditions: np.ndarray) -> np.ndarray:
         """Return the errors that rows share, as factors (n_rows, 3, n) [m] of n independent standard normals.
 

@@ -312,16 +312,19 @@ class CalibratedRobot:
         """Return the postures of the arm at readings (n, n_joints)."""
         return self._arm.postures(readings)
 
-    def corrected(self, readings: np.ndarray, names: Sequence[str], runs: Sequence[Sequence[int]]) -> CorrectedReadings:
+    def corrected(
+        self, readings: np.ndarray, tools: np.ndarray, names: Sequence[str], runs: Sequence[Sequence[int]]
+    ) -> CorrectedReadings:
         """Return readings that bring the real flange to its nominal pose at given readings (n, n_joints).
 
-        names: the targets' names in notes; runs: which target each move goes to, in order, every target once or more, in
-        runs before which nothing is known of where the robot is.
+        tools: places (n, 3) [m] on the flange to which the standard deviations apply (to the marker, where an arm cannot
+        correct its orientation); names: the targets' names in notes; runs: which target each move goes to, in order, every
+        target once or more, in runs before which nothing is known of where the robot is.
         """
         runs = runs if self.in_order else [range(len(readings))]
         order = np.concatenate(runs).astype(int)
         moves = [np.flatnonzero(order == k) for k in range(len(readings))]
-        readings = readings[order]
+        readings, tools = readings[order], tools[order]
         data = self.rows(readings)
         data = replace(data, table=data.table.assign(pose=np.array(names)[order]))
         # For base and tool only, so that sides of approach may be missing here.
@@ -334,7 +337,7 @@ class CalibratedRobot:
         landed = [
             compensate_rows(
                 self.calibrated, data.only(one), asked.only(one), start=readings[one], in_order=self.in_order,
-                missing=self.missing,
+                missing=self.missing, places=tools[one] if oriented else None,
             )
             for one in of_run == np.arange(len(runs))[:, None]
         ]  # fmt: skip

@@ -48,7 +48,7 @@ class FilteredTarget:
         "position error of the tool after correction, by the calibrated model", "mm", default=math.nan
     )
     promised_mm: float = column(
-        "expected root mean square position error: the remaining error and the calibration's standard deviation there",
+        "expected root mean square position error of the tool: the remaining error and the calibration's standard deviation there",
         "mm",
         default=math.nan,
     )
@@ -144,7 +144,9 @@ def _corrected(
     rows = []
     poses: dict[tuple[str, int, str], np.ndarray] = {}  # as written to the file
     readings = np.stack([aim.readings for aim in aims if aim.readings is not None])
-    correction = corrector.corrected(readings, [aim.target.name for aim in aims], runs)
+    tools = [aim.tool @ aim.use.computed.after if aim.use and aim.use.computed else aim.tool for aim in aims]
+    places = np.stack([tool[:3, 3] for tool in tools])
+    correction = corrector.corrected(readings, places, [aim.target.name for aim in aims], runs)
     before, after = corrector.flange(readings), corrector.flange(correction.readings)
     ways = np.split(
         corrector.flange(np.concatenate(correction.ways)), np.cumsum([len(w) for w in correction.ways])[:-1]
@@ -156,8 +158,7 @@ def _corrected(
         if reason := correction.reasons[k]:
             rows.append(_row(aim, "not reached", FAILURES[reason], reason=reason, remaining_mm=remaining))
             continue
-        old, new = readings[k], correction.readings[k]
-        tool = aim.tool @ aim.use.computed.after if aim.use and aim.use.computed else aim.tool
+        old, new, tool = readings[k], correction.readings[k], tools[k]
         beside = max(_distance_mm(way, after[k], tool) for way in ways[k])
         remaining += beside
         if aim.follows:
