@@ -18,15 +18,7 @@ from calflow.design.optimality import ToolError, information
 from calflow.design.planned import Measure, Planned, SelectionRequest
 from calflow.design.search import greedy
 from calflow.design.selection import PlannedPose, planned_poses
-from calflow.design.task_error import (
-    LackingCause,
-    TaskError,
-    TaskSlopes,
-    independent_sizes,
-    lacking_causes,
-    of_robot,
-    task_error,
-)
+from calflow.design.task_error import LackingCause, TaskSlopes, independent_sizes, lacking_causes, of_robot, task_error
 from calflow.diagnosis.diagnosis import Diagnosis, extended_model
 from calflow.diagnosis.findings import findings
 from calflow.diagnosis.fitted import Fitted
@@ -44,9 +36,7 @@ from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, consecutive
 
-MOST_LACKS, DIRECTIONS = 4, 10  # lacking effects for which poses are chosen, and directions of each
 PARAMETERS, PRECISION = "parameters", "less uncertainty of the tool over the task"
-MATERIAL = 0.02  # share of the task's mean squared error below which a lacking effect is ignored
 DISCRIMINATING_SHARE = 0.5  # largest share of poses that separate rivals
 WORST_SHARE = 0.1  # share of the task's points with weight under the worst-point measure
 CONFIDENCE = 0.95
@@ -85,16 +75,14 @@ def uncertainties(
     seen, tool = (
         errors.shared(each, fitted.covariance)[:, :, 1:] for each in (at_poses, np.concatenate(at_tool, axis=2))
     )
-    turn = _most_moving(tool[:, :, n:])
     uncertainties = [
         Uncertainty(PARAMETERS, seen[:, :, :n], tool[:, :, :n]),
-        Uncertainty("smooth errors", seen[:, :, n:] @ turn, tool[:, :, n:] @ turn),
+        Uncertainty("smooth errors", seen[:, :, n:], tool[:, :, n:]),
     ]
     free = slopes[:, :, np.flatnonzero(~fitted.fit.at_bound)]
     columns = consecutive([smooth, *(suspect.response.shape[1] for suspect in suspects)])[1:]
     for suspect, moved, span in zip(suspects, at_task.by(suspects), columns, strict=True):
         root = np.sqrt(suspect.probability) * suspect.root
-        root = root @ _most_moving(moved @ root)
         uncertainties.append(
             Uncertainty(suspect.name, (slopes[:, :, span] + free @ suspect.response) @ root, moved @ root)
         )
@@ -107,11 +95,6 @@ def uncertainties(
                 Uncertainty(f"rival {k + 1}", size / planned.sigma * seen[:, :, own], size * tool[:, :, own])
             )
     return uncertainties
-
-
-def _most_moving(moved: np.ndarray) -> np.ndarray:
-    """Return the orthonormal directions (n_columns, n) of independent standard normals that move the tool most."""
-    return np.linalg.svd(np.concatenate(moved), full_matrices=False)[2][:DIRECTIONS].T
 
 
 def further_poses(
@@ -132,14 +115,6 @@ def further_poses(
         reasons[int(pose)] = _reason(every, criterion, information_matrix, after)
         information_matrix = after
     return reasons
-
-
-def _material(causes: Sequence[LackingCause], error: TaskError) -> list[LackingCause]:
-    """Return the lacking causes that matter most to the tool."""
-    having, squared, whole = np.array(error.having), error.lacking**2, (error.every**2).sum()
-    share = {cause.name: float(squared[having == cause.name].sum() / whole) for cause in causes}
-    material = [cause for cause in causes if share[cause.name] >= MATERIAL]
-    return sorted(material, key=lambda cause: (-share[cause.name], cause.name))[:MOST_LACKS]
 
 
 def _discriminating(asked: Sequence[Question], choices: Measurements, most: int) -> dict[int, str]:
@@ -283,12 +258,17 @@ def next_step(
     causes = lacking_causes(fitted, catalogue)
     bare = replace(fitted.model, given=())
     at_task = TaskSlopes.of(fitted, asked.task, rng("conditions"))
-    rivals = _rivals(diagnosis)
+    rivals = [alternative for alternative in diagnosis.alternatives if alternative.gone]  # others are lacking causes
     by_cause = [
         [rival for rival in rivals if rival.gone == cause] for cause in diagnosis.causes[: diagnosis.n_deployed]
     ]
-    error = task_error(fitted, causes, by_cause, at_task, asked.measure, rng("task error"))
-    verdict = _verdict(diagnosis, identified, data, fitted, causes, catalogue, error, asked, confidence, rng)
+    drawn = task_error(fitted, causes, by_cause, at_task, asked.measure, rng("task error"))
+    lacking = findings(diagnosis, identified, data, as_table((), data), rng("resamples"))
+    verdict = replace(
+        _verdict(data, fitted, *drawn, asked, confidence),
+        found=tuple(finding.statement for finding in lacking), suspected=_suspects(rivals, fitted, causes),
+        untested=tuple(sorted(catalogue.lacking)),
+    )  # fmt: skip
     calibrated = extended_model(diagnosis, identified, data)
     if verdict.status == "stop":
         nothing = planned_poses(bare, asked, np.zeros((0, bare.robot.n_joints))).assign(reason="")
@@ -297,39 +277,31 @@ def next_step(
     drawing = rng("candidates")
     readings = asked.choice(bare, planned.observation, drawing, 1)
     choices = rows_like(fitted.data, readings, (asked.payload,) * len(readings), drawing)
-    every = uncertainties(fitted, _material(causes, error), rivals, at_task, planned, choices)
+    every = uncertainties(fitted, causes, rivals, at_task, planned, choices)
     chosen = further_poses(every, questions(diagnosis, data, rng, choices), choices, asked.measure, asked.number)
     return NextStep(verdict, numbered_on(_table(bare, choices, chosen, asked), data), calibrated)
 
 
-def _rivals(diagnosis: Diagnosis) -> list[Alternative]:
-    """Return the alternatives in place of causes; additional suspects are among the lacking effects."""
-    return [alternative for alternative in diagnosis.alternatives if alternative.gone]
-
-
 def _verdict(
-    diagnosis: Diagnosis, identified: CalibratedModel, data: Measurements, fitted: Fitted,
-    causes: Sequence[LackingCause], catalogue: Catalogue, error: TaskError, asked: SelectionRequest, confidence: float, rng: Draws,
+    data: Measurements, fitted: Fitted, error: np.ndarray, at_best: np.ndarray, asked: SelectionRequest, confidence: float
 ) -> MeasuringVerdict:  # fmt: skip
+    """Return the verdict by draws (n_draws,) of the tool's error, and of that with all parameters known."""
     tolerance = asked.tolerance
-    probability, at_best = (
-        None if tolerance is None else float(np.mean(drawn <= tolerance)) for drawn in (error.every, error.lacking)
+    probability, best = (
+        None if tolerance is None else float(np.mean(drawn <= tolerance)) for drawn in (error, at_best)
     )
     status: Status = "no tolerance" if probability is None else "stop" if probability >= confidence else "measure"
     heldout = data.only(data.held_out)
     outside = distances(errors(fitted.model, fitted.fit.estimate, heldout, METRE))
     outside = outside[np.isfinite(outside)]
-    lacking = findings(diagnosis, identified, data, as_table((), data), rng("resamples"))
     return MeasuringVerdict(
         status=status, poses=data.table["pose"].nunique(), fitted_poses=fitted.data.table["pose"].nunique(),
         measure=asked.measure, tolerance_mm=in_mm(tolerance), confidence=confidence, probability=probability,
-        probability_at_best=at_best,
-        error_mm=in_mm(float(np.median(error.every))), error_most_mm=in_mm(float(np.quantile(error.every, confidence))),
+        probability_at_best=best, error_mm=in_mm(float(np.median(error))),
+        error_most_mm=in_mm(float(np.quantile(error, confidence))),
         heldout_rms_mm=in_mm(float(np.sqrt((outside**2).mean()))) if len(outside) else None,
         leftout_rms_mm=in_mm(fitted.left_out.rms), elsewhere_mm=in_mm(float(fitted.left_out.excess())),
-        noise_mm=in_mm(fitted.noise.typical(METRE)) or None, noise_known=fitted.noise.known,
-        found=tuple(finding.statement for finding in lacking), suspected=_suspects(diagnosis, fitted, causes),
-        untested=tuple(sorted(catalogue.lacking)), notes=data.notes,
+        noise_mm=in_mm(fitted.noise.typical(METRE)) or None, noise_known=fitted.noise.known, notes=data.notes,
     )  # fmt: skip
 
 
@@ -344,17 +316,14 @@ def _table(model: Model, choices: Measurements, reasons: Mapping[int, str], aske
     return table.assign(reason=[reasons[number] for number in numbers])
 
 
-def _suspects(diagnosis: Diagnosis, fitted: Fitted, causes: Sequence[LackingCause]) -> tuple[Suspect, ...]:
+def _suspects(rivals: Sequence[Alternative], fitted: Fitted, causes: Sequence[LackingCause]) -> tuple[Suspect, ...]:
     """Return the suspects, the likeliest first."""
     of_poses = float(independent_sizes(fitted)[1][1:].sum())
     every: list[tuple[str, Kind, float]] = [
         *((cause.name, "cause", cause.probability) for cause in causes),
         *((" and ".join(inputs), "background", share) for inputs, share in fitted.smooth.probabilities.items()),
         ("pose", "pose", of_poses),
-        *(
-            (named(rival.rival).label if rival.rival else UNEXPLAINED, "rival", rival.probability)
-            for rival in _rivals(diagnosis)
-        ),
+        *((named(rival.rival).label if rival.rival else UNEXPLAINED, "rival", rival.probability) for rival in rivals),
     ]
     likeliest = sorted(every, key=lambda suspect: -suspect[2])
     return tuple(Suspect(name=name, kind=kind, probability=share) for name, kind, share in likeliest if share >= LIKELY)

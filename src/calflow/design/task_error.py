@@ -35,7 +35,6 @@ from calflow.observations.position import Position
 
 UNINFORMATIVE = 0.98  # posterior over prior variance above which the data are uninformative
 TASK_DRAWS, SIZE_DRAWS = 2000, 50  # draws, and different sizes of the smooth errors among them
-NOTHING = "nothing"
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,19 +85,6 @@ def lacking_causes(fitted: Fitted, catalogue: Catalogue) -> tuple[LackingCause, 
 def of_robot(errors: ErrorModel) -> ErrorModel:
     """Return the errors that move the tool, unlike a drift of the measuring device."""
     return errors.only(lambda function: not (isinstance(function, Wandering) and function.quantity.of_measuring()))
-
-
-@dataclass(frozen=True, eq=False)
-class TaskError:
-    """Posterior draws (n_draws,) [m] of the tool's true error over the task: its root mean square or worst point.
-
-    lacking: the same with all parameters known, which no further measurement of this kind reduces; having: name of the cause
-    that each draw has and the model lacks, or NOTHING.
-    """
-
-    every: np.ndarray
-    lacking: np.ndarray
-    having: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,11 +141,11 @@ def task_error(
     at_task: TaskSlopes,
     measure: Measure,
     rng: np.random.Generator,
-) -> TaskError:
-    """Return posterior draws of the calibrated tool's error over the task.
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return posterior draws (n_draws,) [m] of the calibrated tool's true error over the task: root mean square or worst point.
 
-    A tool point that the data do not determine, as with images, must be taught: errors that teaching removes do not
-    count.
+    The second are the same with all parameters known, which no further measurement of this kind reduces. A tool point that
+    the data do not determine, as with images, must be taught: errors that teaching removes do not count.
 
     Args:
         fitted: the calibrated model.
@@ -199,8 +185,7 @@ def task_error(
     error, lacking = (
         off - ((off.reshape(TASK_DRAWS, -1) @ taught) @ taught.T).reshape(off.shape) for off in (error, lacking)
     )
-    names = [*(cause.name for cause in causes), NOTHING]
-    return TaskError(_size(error + lacking, measure), _size(lacking, measure), tuple(names[k] for k in drawn))
+    return _size(error + lacking, measure), _size(lacking, measure)
 
 
 def _drawn(
