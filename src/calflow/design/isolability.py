@@ -29,7 +29,7 @@ from calflow.estimation.probing import probed
 from calflow.files.deferred import pd
 from calflow.files.tables import column, to_frame
 from calflow.measurements.measurements import Measurements
-from calflow.model import Model, build, stated
+from calflow.model import Model, stated
 from calflow.robot.robot import Robot
 
 RECORDS: dict[Record, str] = {
@@ -61,7 +61,7 @@ class MeasuringPlan:
     vias: np.ndarray | None = None
 
     def measurements(self) -> Measurements:
-        """Return the noise-free rows of the nominal robot, which warms up, at one pose a minute."""
+        """Return the rows of the robot, which warms up, at one pose a minute; their positions, which no test needs, are zero."""
         n, each = len(self.readings), len(self.markers)
         came, far = reached(self.readings, self.vias)
         time = MINUTE * np.arange(n)
@@ -76,9 +76,7 @@ class MeasuringPlan:
             "payload": np.repeat(np.array(self.payloads), each),
             "marker": np.tile(np.array(self.markers), n),
         }
-        planned = Measurements.from_arrays(self.robot, q, None, **conditions)
-        nominal = build(self.robot, (), planned.given)
-        return Measurements.from_arrays(self.robot, q, nominal.point(nominal.nominal, planned.conditions), **conditions)
+        return Measurements.from_arrays(self.robot, q, np.zeros((len(q), 3)), **conditions)
 
     def additions(self, more: np.ndarray) -> Iterator[tuple[str, MeasuringPlan]]:
         """Yield each possible addition in words, the cheapest first, and the plan with it; more: readings of further poses."""

@@ -162,16 +162,6 @@ def leading_errors(model: Model, estimate: np.ndarray, measured: Measurements) -
     return _in_leading_units(model.observed_error, model, estimate, _observed_series(model, measured))
 
 
-def errors_of_draws(model: Model, draws: np.ndarray, measured: Measurements) -> np.ndarray:
-    """Return the `errors` at each draw of the parameters (n_draws, n_parameters), shape (n_draws, n_rows, 3 or more)."""
-    if completed(model, draws[0], measured)[0] is not model:  # each draw places new sockets and sessions for itself
-        return np.array([errors(model, draw, measured) for draw in draws])
-    every = _observed_series(model, measured)  # once: to look them up takes longer than to evaluate them
-    values = np.array([_in_leading_units(model.observed_error, model, draw, every) for draw in draws])
-    _masked(values.swapaxes(0, 1), measured)
-    return values
-
-
 @dataclass(frozen=True, eq=False)
 class _ObservedSeries:
     """The rows of one series as its observation reports them; rows (n,) are their indices among all rows."""
