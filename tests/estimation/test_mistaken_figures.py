@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 import calflow as cf
+from calflow.effects.geometry import PLACED_SD, Geometry
+from robots import industrial
 
 LENGTHS = (
     (0.12, 0.0, 90),
@@ -92,3 +94,13 @@ def test_a_bound_that_a_user_states_holds() -> None:
     found = calibrated(robot, ASSEMBLED, own).parameters
     assert found["joint3.theta"].value == pytest.approx(0.03, abs=1e-4)
     assert found["joint3.theta"].bounds == (-0.03, 0.03)
+
+
+def test_a_figure_that_only_moves_the_flange_with_its_marker_is_none_that_positions_contradict() -> None:
+    """Fails if a load, felt through a spring that the model lacks, frees the last link's length: programs land millimetres off."""
+    geometry = Geometry(industrial())
+    by_name = {parameter.name: parameter for parameter in geometry.parameters()}
+    assert geometry.without_mistaken([by_name["joint6.d"], by_name["joint6.theta"]]) == geometry
+    freed = {p.name: p.prior_sd for p in geometry.without_mistaken([by_name["joint4.d"]]).parameters()}
+    assert freed["joint4.d"] == PLACED_SD
+    assert freed["joint6.d"] == by_name["joint6.d"].prior_sd

@@ -87,7 +87,9 @@ class Geometry(Effect):
 
         That is one at the bound of what a maker's robot is off; where a user stated the bound, it holds.
         """
-        own = (p for p in at_bound if p.effect == self.id and p.joint)
+        own = (
+            p for p in at_bound if p.effect == self.id and p.joint and p.symbol not in _with_flange(self.robot, p.joint)
+        )
         mistaken = {p.symbol for p in own if (p.lower, p.upper) == USUAL_BOUNDS}
         return replace(self, unstated=tuple(sorted({*self.unstated, *mistaken})))
 
@@ -147,10 +149,17 @@ def _links(robot: Robot, unstated: Sequence[str]) -> Iterator[DimensionError]:
             words = FIGURES.get(step.symbol, f"{step.symbol} of the frame of joint {{link}}").format(
                 link=i + 1, before=robot.parents[i]
             )
-            sd, bound = (PLACED_SD, PLACED_BOUND) if step.symbol in unstated else (LINK_SD, LINK_BOUND)
+            free = step.symbol in unstated and step.symbol not in _with_flange(robot, i + 1)
+            sd, bound = (PLACED_SD, PLACED_BOUND) if free else (LINK_SD, LINK_BOUND)
             parameter = Parameter(Geometry.id, f"joint{i + 1}", step.symbol, step.unit, sd, -bound, bound,
                                   figure=step.value, meaning=words, joint=i + 1)  # fmt: skip
             yield DimensionError(parameter, "steps", robot.step_index(i, step.symbol))
+
+
+def _with_flange(robot: Robot, link: int) -> set[str]:
+    """Return the symbols of a joint's figures that only move a flange with all that is on it: loads alone contradict them."""
+    frame = robot.frames[link - 1]
+    return set() if robot.on(link) else {frame.turn.symbol, *(step.symbol for step in frame.body)}
 
 
 def _loop(robot: Robot) -> Iterator[DimensionError]:
