@@ -47,6 +47,19 @@ def test_gross_errors_do_not_widen_the_noise(poses, times):
     assert found.gross.sum() <= len(wrong) * (2 if times == 2 else 1)
 
 
+@pytest.mark.parametrize("times", [3.0, 5.0])
+def test_a_day_of_larger_noise_has_no_gross_errors_for_that(times):
+    """Fails if the repeats of a noisy day count as gross errors by the others', or errors of that day as its noise."""
+    rng = np.random.default_rng(44)
+    error, group = drawn(rng, 40, 3)
+    day = np.where(group < 10, "windy", "calm")
+    error[day == "windy"] *= times
+    error[7] += 60 * times * np.array([0.6, 0.0, 0.8])
+    found = scatter(error, group, day)
+    assert np.flatnonzero(found.gross).tolist() == [7]
+    assert found.only(day == "windy").sigma == pytest.approx(times, rel=0.3)
+
+
 def test_rows_that_were_not_repeated_say_nothing():
     """Fails if single rows count as scatter, or give a number that looks like a noise."""
     error, group = np.ones((4, 3)), np.arange(4)

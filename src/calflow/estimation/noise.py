@@ -78,12 +78,13 @@ class Scatter:
         return float(np.sqrt(self.squared.sum() / self.freedom.sum())) if self.freedom.sum() else float("nan")
 
 
-def scatter(error: np.ndarray, group: np.ndarray) -> Scatter:
+def scatter(error: np.ndarray, group: np.ndarray, session: np.ndarray | str = "") -> Scatter:
     """Return the scatter of errors (n_rows, n_axes), of one unit, about the means of their groups, numbered from 0.
 
     For normal scatter its sigma is the classical pooled estimate. Rows so far out that normal noise would show one in a hundred
     series only are left out, if gross errors explain them clearly better than heavy tails, which belong to the noise. Of two
-    repeats that contradict each other both are left out.
+    repeats that contradict each other both are left out. A session (n_rows,) of which
+    all repeats scatter more has no gross errors for that.
     """
     n, axes = error.shape
     kept = np.ones(n, dtype=bool)
@@ -92,9 +93,14 @@ def scatter(error: np.ndarray, group: np.ndarray) -> Scatter:
     if not several.any():
         return Scatter(np.zeros(n), np.zeros(n), ~kept)
     spread = np.sqrt(1 - 1 / np.maximum(count, 2))[group]
-    middle = float(np.median(np.abs(apart[several]) / spread[several, None])) / NORMAL_MEDIAN
-    limit = float(np.sqrt(2 * scipy.special.gammainccinv(axes / 2, FALSE_REMOVAL / n))) * middle
-    while middle > 0:
+    size = np.abs(apart) / spread[:, None]
+    middle = np.full(n, np.median(size[several]))
+    for name in np.unique(session):
+        own = several & (session == name)
+        if own.sum() >= MIN_REPEATS:
+            middle[own] = np.maximum(middle[own], np.median(size[own]))
+    limit = np.sqrt(2 * scipy.special.gammainccinv(axes / 2, FALSE_REMOVAL / n)) * middle / NORMAL_MEDIAN
+    while limit.all():
         apart, count = _deviations(error, group, kept)
         size = np.where(kept & (count[group] > 1), np.sqrt((apart**2).sum(axis=1)), 0.0)
         size /= np.sqrt(1 - 1 / np.maximum(count, 2))[group]
@@ -106,7 +112,7 @@ def scatter(error: np.ndarray, group: np.ndarray) -> Scatter:
             kept_rows = together[k][kept[together[k]]]
             far = np.linalg.norm(error[kept_rows] - np.median(error[kept_rows], axis=0), axis=1)
             kept[kept_rows if len(kept_rows) == 2 else kept_rows[np.argmax(far)]] = False
-    if not kept.all() and not _gross_errors_likelier(error, group, kept):
+    if not kept.all() and not _gross_errors_likelier(error / middle[:, None], group, kept):
         kept[:] = True
     apart, count = _deviations(error, group, kept)
     freedom = axes * (1 - 1 / np.maximum(count, 1))[group]
@@ -442,6 +448,6 @@ def repeats_scatter(data: Measurements, error: np.ndarray) -> Scatter:
             if rows.any():
                 there = ~np.isnan(error[rows]).all(axis=0)
                 group = np.unique(conditions(data.only(rows)), return_inverse=True)[1]
-                part = scatter(error[rows][:, there], group)
+                part = scatter(error[rows][:, there], group, data.session[rows])
                 every.squared[rows], every.freedom[rows], every.gross[rows] = part.squared, part.freedom, part.gross
     return every
