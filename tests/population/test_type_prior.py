@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 
 from calflow.estimation.calibrated_model import CalibratedModel
+from calflow.model import build
 from calflow.population.likelihood import ParameterEstimates, ParameterLikelihood, shared_parameters
 from calflow.population.type_prior import FEWEST_ROBOTS, type_prior
 from calflow.population.unlike import unlike
-from calflow.robot.parts import Parameter
+from calflow.robot.parts import Marker, Parameter
+from robots import hh800
 
 N, ROWS, NOISE = 12, 20, 0.05
 UNSEEN = N - 1  # the last parameter, of which nobody is told
@@ -121,15 +123,23 @@ def test_a_fits_own_prior_is_taken_out_of_what_it_tells(calibration: CalibratedM
     where = {p.identity: k for k, p in enumerate(calibration.model.parameters)}
     own = [where[p.identity] for p in shared]
     assert np.allclose(known * [p.prior_sd for p in shared], calibration.estimate[own], atol=1e-7, rtol=1e-3)
-    assert not {p.part for p in shared} & {"base", *calibration.model.robot.markers}
+
+
+def test_what_was_set_up_with_a_robot_is_not_its_types():
+    """Fails if the turn of an adapter with reflectors, or what a robot stands on, makes it unlike the others."""
+    beside = {"E": Marker((0.1, 0, 0.1)), "F": Marker((-0.1, 0, 0.1), relative_sd=2e-5)}
+    robot = hh800(markers=beside, tool_rotation=(0.0, 0.0, 0.0))
+    model = build(robot, ("geometry", "joint-compliance", "base-compliance"))
+    none = np.zeros(len(model.parameters))
+    shared = shared_parameters([ParameterEstimates(model.parameters, none, np.diag(none), none > 0)] * 2)
+    assert {p.part for p in model.parameters} > {"base", "E", "F", "markers"}
+    assert {p.part for p in shared} == {"loop", *(f"joint{k}" for k in range(1, 7))}
 
 
 @pytest.fixture(scope="module")
 def calibration() -> CalibratedModel:
     import calflow as cf
-    from calflow.model import build
     from estimation.data import drawn_truth, measured
-    from robots import hh800
 
     model = build(hh800(), ("geometry", "joint-compliance"))
     rng = np.random.default_rng(7)

@@ -57,14 +57,13 @@ def collected(robot: FleetRobot, folder: FleetFolder) -> Collected:
     wrong = damage(entry, run) if entry else f"{stage} was never run"
     if wrong:
         raise refuse(f"holds no identified robot: {wrong}; run the fleet again", run)
-    placed = frozenset({"base", *robot.type.study.robot.markers})
     findings = read_csv(run / "diagnose/findings.csv") if stage == "diagnose" else to_frame((), Finding)
     causes = tuple(
         Shown(row.cause, row.joint or 0, row.detail, row.estimate, row.sd, row.unit)
         for row in from_frame(findings, Finding, "diagnose/findings.csv")
         if row.is_cause
     )
-    return Collected(robot.name, robot.type.name, _calibration(run / stage, placed), causes)
+    return Collected(robot.name, robot.type.name, _calibration(run / stage), causes)
 
 
 def _last_fitted(manifest: Manifest) -> str:
@@ -74,7 +73,7 @@ def _last_fitted(manifest: Manifest) -> str:
     return "diagnose" if stands else "identify"
 
 
-def _calibration(made: Path, placed: frozenset[str]) -> ParameterEstimates:
+def _calibration(made: Path) -> ParameterEstimates:
     """Return the parameter estimates in a stage's folder."""
     every = from_frame(read_csv(made / "parameters.csv"), FittedParameter, f"{made.name}/parameters.csv")
     rows = [row for row in every if not row.fixed]
@@ -84,7 +83,6 @@ def _calibration(made: Path, placed: frozenset[str]) -> ParameterEstimates:
         np.array([row.estimate for row in rows]),
         covariance[[row.parameter for row in rows]].to_numpy(dtype=float),
         np.array([row.at_bound for row in rows], dtype=bool),
-        placed,
     )
 
 

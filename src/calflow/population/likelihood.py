@@ -10,27 +10,23 @@ import numpy as np
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.robot.parts import Parameter
 
+OF_LINKS = ("loop", "links")  # parts of the robot that are no joint's
+
 
 @dataclass(frozen=True, eq=False)
 class ParameterEstimates:
-    """A robot's fitted parameters (n,): estimate (n,), covariance (n, n), and which are at a bound (n,).
-
-    placed names the parts that describe the robot's set-up: base and markers.
-    """
+    """A robot's fitted parameters (n,): estimate (n,), covariance (n, n), and which are at a bound (n,)."""
 
     parameters: tuple[Parameter, ...]
     estimate: np.ndarray
     covariance: np.ndarray
     at_bound: np.ndarray
-    placed: frozenset[str]
 
     @staticmethod
     def of(calibrated: CalibratedModel) -> ParameterEstimates:
         """Return the parameter estimates of a fitted model."""
-        model, placed = calibrated.model, frozenset({"base", *calibrated.model.robot.markers})
-        return ParameterEstimates(
-            model.parameters, calibrated.estimate, calibrated.covariance, calibrated.at_bound, placed
-        )
+        parameters = calibrated.model.parameters
+        return ParameterEstimates(parameters, calibrated.estimate, calibrated.covariance, calibrated.at_bound)
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,14 +61,13 @@ class ParameterLikelihood:
 
 
 def shared_parameters(fits: Sequence[ParameterEstimates]) -> tuple[Parameter, ...]:
-    """Return the parameters that all fits share, of effects without variants, in the first one's order.
+    """Return the parameters of joints and links that all fits share, of effects without variants, in the first one's order.
 
-    Base and markers describe an individual set-up, not the type, and are left out.
+    Base, markers, loads and devices describe an individual set-up, not the type.
     """
     common = set.intersection(*({parameter.identity for parameter in estimates.parameters} for estimates in fits))
-    placed = frozenset.union(*(estimates.placed for estimates in fits))
     return tuple(
         parameter
         for parameter in fits[0].parameters
-        if parameter.identity in common and not parameter.variant and parameter.part not in placed and parameter.effect
+        if parameter.identity in common and not parameter.variant and (parameter.joint or parameter.part in OF_LINKS)
     )
