@@ -165,3 +165,13 @@ def test_a_tool_set_in_a_branch_holds_in_it_alone(name, lines):
     assert len(tools["A"]) == 1
     assert None not in tools["A"]
     assert tools["B"] == {None}
+
+
+def test_a_move_to_a_point_that_has_no_position_is_named():
+    """Fails if a program that sends the robot to a point stated nowhere counts as corrected."""
+    text, _ = FILES["weld.ls"]
+    other = text.replace(":J P[1]", ":J P[77]", 1)
+    program = parsed(other.encode("latin-1"), Path("weld.ls"))
+    (lacking,) = [one for one in program.skipped if one.name == "P[77]"]
+    assert lacking.reason == "never taught"
+    assert "P[77]" in other.splitlines()[lacking.line - 1]

@@ -69,8 +69,13 @@ def read_fanuc(source: bytes, file: str) -> Program:
     if "/POS" in sections:
         part = sections["/POS"]
         # Blanks in place of the text before preserve byte positions and line numbers.
-        before = re.sub(r"[^\r\n]", " ", text[: part.start])
-        for position in _positions(POSITIONS.tree(before + part.text)):
+        tree = POSITIONS.tree(re.sub(r"[^\r\n]", " ", text[: part.start]) + part.text)
+        stated = {int(position.items[0].text) for position in tree.items if position.items[0].text.isdigit()}
+        skipped += [
+            Skipped(f"P[{number}]", lines[number][0], "never taught", "has no position in /POS")
+            for number in lines.keys() - stated
+        ]
+        for position in _positions(tree):
             number = int(re.findall(r"\d+", position.name)[0])
             if isinstance(position, Skipped):
                 skipped.append(position)
