@@ -31,7 +31,7 @@ from calflow.reporting.material import Material
 from calflow.reporting.section import Section, sections
 from calflow.reporting.sections.causes import gain_words, name_certainty
 from calflow.reporting.sections.parameters import estimates
-from calflow.reporting.sections.verdict import lacked, step_name, unsure
+from calflow.reporting.sections.verdict import lacked, unsure
 from calflow.reporting.style import style
 from calflow.reporting.terminal import last_lines
 from calflow.stages.report import report_material
@@ -592,10 +592,3 @@ def test_effects_with_few_parameters_are_named_apart(sizes: tuple[int, ...]) -> 
     assert all(a.x1 < b.x0 for a, b in pairwise(boxes))
     assert boxes[0].x0 > 0
     assert boxes[-1].x1 < drawn.bbox.x1
-
-
-def test_steps_of_the_extended_model_are_labelled_by_their_cause(small: Context) -> None:
-    """Fails if the accuracy table shows ids."""
-    given = with_diagnosis(small, STEP, BACKLASH)
-    labels = [step_name(step) for step in RunOutcome(given.results).steps_on("holdout")]
-    assert labels[-2:] == ["+ step of the measuring device", "+ backlash of joint 2"]

@@ -34,7 +34,7 @@ from reporting.case import (
     with_select,
 )
 from reporting.page_one import page_one, texts, unfit, unreadable
-from reporting.pdf import filled, pages_of
+from reporting.pdf import pages_of
 from reporting.test_advice import QUIET, SPEAKS, in_space, promised, results
 from reporting.test_html import Reader
 
@@ -158,11 +158,6 @@ def test_pdf_and_page_say_the_same(written: Path) -> None:
     only_on_paper = set(NUMBER.findall(" ".join(re.findall(r"^.*\d+ ?/ ?\d+$", pdf, re.M))))  # of the pages
     assert numbers[1] - numbers[0] == set()
     assert numbers[0] - numbers[1] - only_on_paper == set()
-
-
-def test_no_page_but_the_last_is_under_half_full(written: Path) -> None:
-    """Fails if a figure that has no room leaves a page more than half empty."""
-    assert min(filled((written / "report.pdf").read_bytes())[:-1]) > 0.5
 
 
 def test_who_measured_what_when_stands_on_every_page(small: Context, tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import scipy
 from matplotlib.figure import Figure
 
 from calflow.deployment.in_space import IN_SPACE, RANGES, SpaceError, space_words
@@ -26,7 +27,6 @@ from calflow.reporting.section import Section
 from calflow.reporting.sections.verdict import named_steps, pose_errors
 from calflow.reporting.style import ACCENT, DARK, chart
 
-NOISE_DRAWS = 200_000
 CHOICE = ", and the choice among causes that fit as well"
 CONTRADICTED = 2  # ratio of held-out errors to the expected ones above which they contradict each other
 MOST_STEPS = 5000  # of a cumulative curve: more are finer than a line
@@ -63,10 +63,8 @@ def distribution(material: Material, noise_name: str) -> Figure:
     distance, held, sigma = (values[there] for values in (material.distance, material.held, material.sigma))
     axes_of = np.isfinite(material.values[there]).sum(axis=1)
     drawn, axes = chart(2.1)
-    rng = np.random.default_rng(0)
-    drawn_rows = rng.integers(len(sigma), size=NOISE_DRAWS)
-    noise = np.sort(sigma[drawn_rows] * np.sqrt(rng.chisquare(axes_of[drawn_rows])))
-    end = 1.03 * max(distance.max(), np.quantile(noise, 0.999))
+    (sigma, axes_of), rows = np.unique([sigma, axes_of], axis=1, return_counts=True)
+    end = 1.03 * max(distance.max(), (sigma * scipy.stats.chi.ppf(0.999, axes_of)).max())
     for name, mask, colour, line in (("used for the fit", ~held, DARK, "-"), ("held out", held, ACCENT, "--")):
         if mask.any():
             ordered = np.sort(distance[mask])
@@ -76,7 +74,8 @@ def distribution(material: Material, noise_name: str) -> Figure:
             axes.step(x, y, where="post", label=name, color=colour, linestyle=line)
     grid = np.linspace(0, end, 300)
     look: dict[str, Any] = {"color": "black", "linestyle": ":", "linewidth": 1.2}
-    axes.plot(grid, 100 * np.searchsorted(noise, grid) / len(noise), label=noise_name, **look)
+    noise = scipy.stats.chi.cdf(grid[:, None] / sigma, axes_of) @ rows / rows.sum()
+    axes.plot(grid, 100 * noise, label=noise_name, **look)
     axes.set(
         xlabel=f"error [{material.unit.label}]", ylabel="rows with a smaller error [%]", xlim=(0, end), ylim=(0, 103)
     )
