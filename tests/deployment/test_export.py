@@ -222,7 +222,9 @@ def test_what_is_left_out_is_told_with_its_cost():
     assert f"{one.max_mm:.3f} mm at most" in found.notes[0]
     assert len(export(known, "controller", conditions=packed).left_out) == 3
     assert export(identified(robot), "dh", conditions=packed).left_out == ()
-    assert (_between(("joint3",)), _between(("joint1", "joint2", "joint6"))) == ("joint3", "joint1 … joint6")
+    assert [
+        _between(parts) for parts in (("joint3",), ("joint3", "joint2"), ("joint1", "joint2", "joint6", "joint2"))
+    ] == ["joint3", "joint2 and joint3", "joint1 … joint6"]
 
 
 def test_markers_have_names_that_xacro_takes():

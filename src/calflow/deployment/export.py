@@ -338,5 +338,6 @@ def _said(lost: Sequence[NotExported]) -> tuple[str, ...]:
 
 
 def _between(parts: Sequence[str]) -> str:
-    """Return the first and the last of parts, or the only one."""
-    return parts[0] if len(parts) == 1 else f"{parts[0]} … {parts[-1]}"
+    """Return one or two parts, or the first and the last of more, in the order of the joints."""
+    names = sorted(set(parts), key=lambda name: (len(name), name))
+    return " and ".join(names) if len(names) < 3 else f"{names[0]} … {names[-1]}"
