@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -45,3 +47,18 @@ def test_variants_that_differ_are_not_told_as_one():
     """Fails if every robot's own order is told as the type's."""
     shown = {f"r{k}": [wave(detail=f"order {k}")] for k in range(30)}
     assert common_causes(shown)[0].detail == ""
+
+
+def test_what_some_robots_show_by_a_rivals_name_is_one_cause_of_all():
+    """Fails if a cause that all have is told as the own of those in which a rival came out a little likelier."""
+    spring = Shown("gravity-compensator", 2, "", 60.0, 10.0, "Nm", (("joint-eccentricity", 2),))
+    gear = Shown("joint-eccentricity", 2, "order 1", 4e-4, 1e-4, "rad", (("gravity-compensator", 2),))
+    own = Shown("joint-eccentricity", 5, "order 1", 5e-4, 1e-5, "rad")
+    shown = {f"r{k}": [gear] for k in range(8)} | {
+        "r8": [spring],
+        "r9": [own, replace(gear, detail="order 2", size=1e-4)],
+    }
+    first, second = common_causes(shown)
+    assert (first.cause, first.joint, first.whose, len(first.robots)) == ("joint-eccentricity", 2, "type", 10)
+    assert (first.detail, first.size, first.unit) == ("order 1", 4e-4, "rad")
+    assert (second.cause, second.joint, second.robots, second.whose) == ("joint-eccentricity", 5, ("r9",), "robot")

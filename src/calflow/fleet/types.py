@@ -59,7 +59,15 @@ def collected(robot: FleetRobot, folder: FleetFolder) -> Collected:
         raise refuse(f"holds no identified robot: {wrong}; run the fleet again", run)
     findings = read_csv(run / "diagnose/findings.csv") if stage == "diagnose" else to_frame((), Finding)
     causes = tuple(
-        Shown(row.cause, row.joint or 0, row.detail, row.estimate, row.sd, row.unit)
+        Shown(
+            row.cause,
+            row.joint or 0,
+            row.detail,
+            row.estimate,
+            row.sd,
+            row.unit,
+            tuple(zip(row.rival_causes, row.rival_joints, strict=True)),
+        )
         for row in from_frame(findings, Finding, "diagnose/findings.csv")
         if row.is_cause
     )
