@@ -359,7 +359,7 @@ def _apart(calibrated: CalibratedModel, beyond: np.ndarray) -> list[str]:
     if apart < WORTH_TELLING:
         return []
     return [
-        f"of the error to expect of the tools {1e3 * apart:.2g} mm is how flange and marker lie to each other, which these "
+        f"of the error to expect of the tools some {1e3 * apart:.1g} mm are how flange and marker lie to each other, which these "
         "measurements do not tell better; at all targets it is the same in the tool's frame. State in the study what is known of "
         f"the marker's place on the flange: [parameters.{marker}.z] with prior_mean_mm = 0, prior_sd_mm, and so on"
     ]
