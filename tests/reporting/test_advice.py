@@ -281,6 +281,9 @@ SPEAKS: list[tuple[Rule, Mapping[str, object], int, str]] = [
      {"identify/parameters.csv": parameter_table(at_bound=True, parameter="joint3.s", unit="rad/Nm", lower=0.0, upper=1e-6,
                                                  estimate=1e-10)}, 3, "Joint3.s came out at zero"),
     (ranked.mistaken_figures, {"identify/parameters.csv": parameter_table(estimate=-0.031)}, 2, "joint2.a by -31.00 mm"),
+    (ranked.unlike_expected,
+     {"identify/parameters.csv": parameter_table(estimate=2e-3, prior_mean=3e-4, prior_sd=2e-4, meaning="zero of joint 4")}, 2,
+     "contradict what robot file or study expects of zero of joint 4"),
     (ranked.board_as_stated, {"identify/in_space.csv": in_space(0.2, 0.3, 0.4)}, 3, "and no image shows that. Measure it"),
     (ranked.second_marker, {"identify/identifiability.csv": statements(("trade", "joint6.d;E.z")),
       "identify/parameters.csv": of_parts(joint6_d="joint6", E_z="E")}, 3, "joint6.d from"),
@@ -457,6 +460,8 @@ def test_every_rule_is_tested() -> None:
         (ranked.at_bound, {"identify/parameters.csv": parameter_table(at_bound=True, prior_share=1.0)}),
         (ranked.mistaken_figures, {"identify/parameters.csv": parameter_table(estimate=0.019)}),
         (ranked.mistaken_figures, {"identify/parameters.csv": parameter_table(estimate=0.022, sd=0.015)}),
+        (ranked.unlike_expected, {"identify/parameters.csv": parameter_table(estimate=9e-4, prior_mean=3e-4, prior_sd=2e-4)}),
+        (ranked.unlike_expected, {"identify/parameters.csv": parameter_table(estimate=9e-3, prior_sd=1e-4)}),  # nobody stated it
         (ranked.board_as_stated,
          {"identify/in_space.csv": in_space(0.2, 0.3, 0.4),
           "identify/parameters.csv": parameter_table(parameter="target.scale", effect="camera", symbol="scale")}),

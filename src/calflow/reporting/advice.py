@@ -52,6 +52,7 @@ from calflow.sampling.task_points import LIKELY, TaskSummary
 
 WRONG = 2  # urgency up to which something is wrong or missing; advice beyond it is optional
 BY_PRIOR = 0.5  # prior share above which a parameter is determined by the prior
+UNLIKE = 4.0  # standard deviations of a stated prior from its mean, beyond which the data contradict it
 NEAR_ZERO = 0.01  # share of the range within which a bound counts as zero
 LACKS = 1.5  # lack of fit, in units of the noise, above which it is reported
 TOO_GOOD = 0.7  # residuals over the stated noise, below which the stated noise is doubted
@@ -440,6 +441,17 @@ def mistaken_figures(outcome: RunOutcome) -> Iterator[Advice]:
         yield Advice(2, sentence, AT_THE_DESK)
 
 
+def unlike_expected(outcome: RunOutcome) -> Iterator[Advice]:
+    """What a robot file or study expects of a parameter, and the data contradict, bends whatever they hardly determine."""
+    stated = [row for row in outcome.fitted_parameters if row.prior_mean]
+    if far := [meant(row) for row in stated if abs(row.estimate - row.prior_mean) > UNLIKE * row.prior_sd]:
+        sentence = (
+            f"The data contradict what robot file or study expects of {listed(far, 4)}: the robot is unlike others of its type, or "
+            "the statement is wrong. Calibrate it without that, from the maker's robot file."
+        )
+        yield Advice(2, sentence, AT_THE_DESK)
+
+
 def deviation(row: FittedParameter) -> str:
     """Return a parameter's value with its unit."""
     factor, unit = readable(row.unit)
@@ -570,7 +582,7 @@ RULES: Mapping[str, tuple[Rule, ...]] = {
     ),
     "diagnose/summary.json": (*CAUSE_RULES, look_for_reason, look_for_structure, advised_poses, other_means, untested),
     "identify/residuals.csv": (flagged_rows,),
-    "identify/parameters.csv": (at_bound, mistaken_figures, board_as_stated),
+    "identify/parameters.csv": (at_bound, mistaken_figures, unlike_expected, board_as_stated),
     "identify/placement.csv": (second_marker, unseen_compliance),
     ISOLABILITY_TABLE: (add_to_the_plan,),
     "sample/summary.json": (too_short, ensembles_disagree),
