@@ -191,18 +191,19 @@ def test_every_section_has_a_place_of_its_own() -> None:
 
 
 def test_the_chain_is_drawn_in_the_parameters_own_units(whole: Context) -> None:
-    from calflow.reporting.sections.posterior import ThinnedChain
+    from calflow.reporting.sections.posterior import walkers_shown
     from calflow.sampling.log_posterior import log_posterior_of
 
     material = report_material(whole.study, whole.results, whole.run_folder)
-    chain = ThinnedChain.read(whole.run_folder / "sample" / "chain.h5", material)
+    values, steps = walkers_shown(whole.run_folder / "sample" / "chain.h5", material)
     parameters = whole.tables["identify/parameters.csv"]
     k = int(np.flatnonzero(parameters["parameter"] == "joint2.a")[0])
     _, laplace = log_posterior_of(
         material.sampled[0], material.data
     )  # the made-up estimate is not the posterior's mode
     sd = np.sqrt(laplace.covariance[k, k])
-    drawn = chain.draws(np.array([k, len(parameters)]), 10**6)
+    kept = steps >= material.chain_summary.burn_in_steps
+    drawn = values[:, kept][..., [k, len(parameters)]].reshape(-1, 2)
     assert drawn[:, 0].mean() == pytest.approx(laplace.mean[k], abs=0.1 * sd)
     assert drawn[:, 0].std() == pytest.approx(sd, rel=0.15)
     assert drawn[:, 1].mean() == pytest.approx(1.0, abs=0.15)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import cycle
 from pathlib import Path
 
@@ -23,7 +22,7 @@ from calflow.reporting.section import Section
 from calflow.reporting.style import ACCENT, ALONE, DARK, LIGHT, WIDTH, figure, panels
 from calflow.robot.parts import Parameter
 from calflow.sampling.chain import Chain
-from calflow.sampling.log_posterior import LogPosterior, log_posterior_of
+from calflow.sampling.log_posterior import log_posterior_of
 from calflow.sampling.posterior import ChainSummary, PosteriorRow, told_by_prior
 
 SAMPLED = "sample/posterior.csv"
@@ -120,34 +119,17 @@ def _density(axes: Axes, x: np.ndarray, y: np.ndarray) -> None:
         axes.contour(*middle, counts.T, levels=levels, colors=[ACCENT], linewidths=0.8)
 
 
-@dataclass(frozen=True)
-class ThinnedChain:
-    """Walkers in the coordinates of the sampling, shape (n_ensembles, n_shown, n_walkers, n_dimensions), at some steps."""
+def walkers_shown(path: Path, material: Material) -> tuple[np.ndarray, np.ndarray]:
+    """Return the walkers' parameters [SI], the last one the noise's factor, at some of the steps that the stage sample used.
 
-    posterior: LogPosterior
-    walkers: np.ndarray
-    steps: np.ndarray
-    discard: int
-
-    @staticmethod
-    def read(path: Path, material: Material) -> ThinnedChain:
-        """Read the steps that the stage sample used, and rebuild the coordinates in which it sampled them."""
-        posterior, _ = log_posterior_of(material.sampled[0], material.data)
-        summary = material.chain_summary
-        shown = np.arange(0, summary.steps, -(-summary.steps // SHOWN_STEPS))
-        return ThinnedChain(
-            posterior, Chain.read(path).walkers(0, summary.steps)[:, shown], shown, summary.burn_in_steps
-        )
-
-    def values(self, which: np.ndarray) -> np.ndarray:
-        """Return these parameters [SI], the last one being the noise factor, shape (…, n_walkers, n_which)."""
-        values = self.posterior.parameters(self.walkers)[..., which]
-        return np.where(which == self.posterior.n_dimensions - 1, np.exp(values), values)
-
-    def draws(self, which: np.ndarray, number: int) -> np.ndarray:
-        """Return evenly spaced draws after the burn-in, shape (at most about number, n_which)."""
-        kept = self.values(which)[:, self.steps >= self.discard].reshape(-1, len(which))
-        return kept[:: max(1, len(kept) // number)]
+    Shape (n_ensembles, n_shown, n_walkers, n_parameters + 1); with the numbers of these steps (n_shown,).
+    """
+    posterior, _ = log_posterior_of(material.sampled[0], material.data)  # it has the coordinates of the sampling
+    n_steps = material.chain_summary.steps
+    steps = np.arange(0, n_steps, -(-n_steps // SHOWN_STEPS))
+    values = posterior.parameters(Chain.read(path).walkers(0, n_steps)[:, steps])
+    values[..., -1] = np.exp(values[..., -1])
+    return values, steps
 
 
 def _posterior(material: Material) -> list[Block]:
@@ -203,18 +185,18 @@ def prior_words(posterior: pd.DataFrame) -> list[str]:
 
 def _chain(material: Material, path: Path, rows: Sequence[PosteriorRow]) -> list[Block]:
     """Draw the chain's traces of the parameters that mix worst, and its draws of correlated ones, tabulated too."""
-    chain, names = ThinnedChain.read(path, material), [row.parameter for row in rows]
+    (values, steps), names = walkers_shown(path, material), [row.parameter for row in rows]
     units = [readable(row.unit) for row in rows]
-    factors = np.array([factor for factor, _ in units])
+    values, discard = values * [factor for factor, _ in units], material.chain_summary.burn_in_steps
     shown = [*short_names(material.sampled[0].model.parameters), names[-1]]
     labels = [f"{name} [{unit}]" if unit else name for name, (_, unit) in zip(shown, units, strict=True)]
     slow = sorted(range(len(rows)), key=lambda k: rows[k].ess)[:TRACED]
-    courses = _courses(chain, slow, [labels[k] for k in slow], factors[slow])
-    blocks: list[Block] = [Plot("traces", traces(courses, chain.discard), TRACES, courses)]
+    courses = _courses(values[..., slow], steps, [labels[k] for k in slow])
+    blocks: list[Block] = [Plot("traces", traces(courses, discard), TRACES, courses)]
     pairs = [names.index(name) for name in corner_names(material)]
     if len(pairs) > 1:
-        draws = pd.DataFrame(chain.draws(np.array(pairs), CORNER_DRAWS) * factors[pairs])
-        draws.columns = [labels[k] for k in pairs]
+        kept = values[:, steps >= discard][..., pairs].reshape(-1, len(pairs))
+        draws = pd.DataFrame(kept[:: max(1, len(kept) // CORNER_DRAWS)], columns=[labels[k] for k in pairs])
         drawn, thinned = corner(draws), draws[:: max(1, len(draws) // SAVED_DRAWS)]
         header = ("parameter", "unit", "mean", "sd", "2.5 %", "median", "97.5 %")
         blocks += [
@@ -225,13 +207,13 @@ def _chain(material: Material, path: Path, rows: Sequence[PosteriorRow]) -> list
     return blocks
 
 
-def _courses(chain: ThinnedChain, which: Sequence[int], labels: Sequence[str], factors: np.ndarray) -> pd.DataFrame:
+def _courses(values: np.ndarray, steps: np.ndarray, labels: Sequence[str]) -> pd.DataFrame:
     """Return the data of the traces: median and middle 95 % of each parameter and ensemble at each step."""
-    quantiles = np.quantile(chain.values(np.array(which)) * factors, [0.025, 0.5, 0.975], axis=2)
+    quantiles = np.quantile(values, [0.025, 0.5, 0.975], axis=2)
     tables = []
     for e, k in np.ndindex(quantiles.shape[1], len(labels)):
         low, middle, high = quantiles[:, e, :, k]
-        columns = {"step": chain.steps, "q025": low, "median": middle, "q975": high}
+        columns = {"step": steps, "q025": low, "median": middle, "q975": high}
         tables.append(pd.DataFrame({"parameter": labels[k], "ensemble": e + 1, **columns}))
     return pd.concat(tables)
 
