@@ -98,6 +98,15 @@ def test_what_was_measured_with_controller_figures_is_judged_by_them(soft, rows)
         soft.validate(new, sent="program filter")
 
 
+def test_what_a_rewritten_program_promises_is_of_the_flange(soft, rows):
+    """Fails if a program, which sends the flange, is promised what is known of the marker: they trade places unseen."""
+    new = rows[1]
+    aimed = replace(new, table=new.table.assign(**dict(zip(TARGET, new.position.T, strict=True))))
+    program, commands = (soft.validate(aimed, sent=sent).summary.promised_mm for sent in ("program filter", None))
+    trade = soft.parameters["joint6.d"].sd
+    assert commands < 0.5 * 1e3 * trade < program
+
+
 def test_figures_that_are_worse_than_the_makers_are_refused(soft):
     """Fails if figures are handed out that harm."""
     levels = soft.levels

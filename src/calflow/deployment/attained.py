@@ -195,12 +195,13 @@ class Attained:
 
     @staticmethod
     def of(
-        calibrated: CalibratedModel, data: Measurements, station: Station, figures: FiguresAlone | None = None
-    ) -> Attained:
+        calibrated: CalibratedModel, data: Measurements, station: Station, figures: FiguresAlone | None = None,
+        places: np.ndarray | None = None,
+    ) -> Attained:  # fmt: skip
         """Return the points of measured rows; the nominal model has the calibration's placement.
 
         station: as of `validate`; figures: those of the controller while measuring; their deviation from the calibrated model adds
-        an error.
+        an error; places (n_rows, 3) [m]: where on the flange the points were to be, if the flange was sent there, not the marker.
 
         Raises:
             InputError: a frame cannot be fitted.
@@ -218,9 +219,10 @@ class Attained:
         if TARGET[0] in data.table:
             expected[COMMANDED] = mean(data.table[[*TARGET]].to_numpy(dtype=float))
         noise = np.sqrt(np.bincount(group, weights=np.nan_to_num(calibrated.device_sigma(data)) ** 2)) / count
-        every = calibrated.shared_errors(rows)
+        every = calibrated.shared_errors(rows, places)
         shared = mean(every.reshape(len(every), -1)).reshape(-1, *every.shape[1:])
-        left = mean(calibrated.position_variance(rows)).sum(axis=1) - (shared**2).sum(axis=(1, 2))
+        whole = calibrated.position_variance(rows) if places is None else calibrated.carried_variance(rows, places)
+        left = mean(whole).sum(axis=1) - (shared**2).sum(axis=(1, 2))
         if figures is not None:
             model = replace(figures.model.later(data), given=calibrated.model.given)
             expected[FIGURES] = mean(model.point(figures.estimate, rows))

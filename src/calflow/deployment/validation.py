@@ -227,7 +227,9 @@ def validate(
     # Wander and delay of the device are in its readings, not in the robot's pose: predicted where time and speeds are stated.
     given = data.stating([*AT_REST, *calibrated.inputs]).given
     stated = calibrated.later(given, data)
-    attained = Attained.of(stated, data, station, figures)
+    markers = calibrated.model.robot.markers
+    flange = np.array([markers[name].point for name in data.table["marker"]]) if sent == "program filter" else None
+    attained = Attained.of(stated, data, station, figures, flange)
     _check_tolerance(tolerance, attained.unit)
     field_notes = of_field(stated, stated.conditions_of(data))
     judged: Judged = "commanded" if COMMANDED in attained.expected else "calibrated" if figures is None else "figures"

@@ -70,9 +70,11 @@ def choice_errors(
     return moved * np.sqrt([other.probability for other in alternatives])
 
 
-def points_at(conditions: np.ndarray) -> Quantity:
-    """Return the positions (n_rows, 3) [m] of packed conditions, as a quantity."""
-    return lambda model, estimate: model.point(estimate, conditions)
+def points_at(conditions: np.ndarray, places: np.ndarray | None = None) -> Quantity:
+    """Return the positions (n_rows, 3) [m] of the markers, or of places on the last link, as a quantity of packed conditions."""
+    if places is None:
+        return lambda model, estimate: model.point(estimate, conditions)
+    return lambda model, estimate: model.carried(estimate, conditions, places)
 
 
 @dataclass(frozen=True)
@@ -210,24 +212,24 @@ class CalibratedModel:
 
         A marker's error says nothing of what the data cannot tell from its place on the link, as the last link's length.
         """
+        if not self.field:
+            return np.asarray((self.shared_errors(conditions, places) ** 2).sum(axis=2) + self.errors.rest[METRE] ** 2)
+        choice = choice_errors(self.alternatives, *self._fitted, points_at(conditions, places))
         slopes = self.model.carried_jacobian(self.estimate, conditions, places)
-        every = choice_errors(self.alternatives, *self._fitted, lambda m, p: m.carried(p, conditions, places))
-        of_choice = (every**2).sum(axis=2)
-        if self.field:
-            covariance = self.errors.about_mean(self.covariance)
-            return np.asarray(of_choice + of_parameters(slopes, covariance) + self.left_variance(conditions))
-        slopes = np.concatenate([slopes, self.errors.moved(*self._fitted, conditions)], axis=2)
-        smooth = (self.errors.shared(slopes, self.covariance) ** 2).sum(axis=2)
-        return np.asarray(of_choice + smooth + self.errors.rest[METRE] ** 2)
+        of_parameters_alone = of_parameters(slopes, self.errors.about_mean(self.covariance))
+        return np.asarray((choice**2).sum(axis=2) + of_parameters_alone + self.left_variance(conditions))
 
-    def shared_errors(self, conditions: np.ndarray) -> np.ndarray:
+    def shared_errors(self, conditions: np.ndarray, places: np.ndarray | None = None) -> np.ndarray:
         """Return the errors that rows share, as factors (n_rows, 3, n) [m] of n independent standard normals.
 
         They hold the errors of the parameters, the smooth errors and the choice of the model, without a residual field; the squares
-        add up to `position_variance` less the part that is independent from row to row.
+        add up to `position_variance`, or at places to `carried_variance`, less the part that is independent from row to row.
         """
-        smooth = self.errors.shared(self.errors.slopes(*self._fitted, conditions), self.covariance)
-        return np.concatenate([smooth, choice_errors(self.alternatives, *self._fitted, points_at(conditions))], axis=2)
+        slopes = self.errors.slopes(*self._fitted, conditions)
+        if places is not None:
+            slopes[:, :, : len(self.estimate)] = self.model.carried_jacobian(self.estimate, conditions, places)
+        choice = choice_errors(self.alternatives, *self._fitted, points_at(conditions, places))
+        return np.concatenate([self.errors.shared(slopes, self.covariance), choice], axis=2)
 
     def parameter_variance(self, conditions: np.ndarray) -> np.ndarray:
         """Return the variance of each row's position per axis (n_rows, 3) [m²] by the parameters' covariance.
