@@ -16,7 +16,7 @@ import numpy as np
 import scipy
 
 from calflow.estimation.calibrated_model import CalibratedModel
-from calflow.estimation.fit import Fit, fit
+from calflow.estimation.fit import Fit
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import averaged
 from calflow.measurements.measurements import Measurements
@@ -270,17 +270,12 @@ def _sum_of_squares(problem: LeastSquares) -> Squares:
 def log_posterior_of(calibrated: CalibratedModel, data: Measurements) -> tuple[LogPosterior, Laplace]:
     """Return the posterior of the identified model, given the training rows, and its Laplace approximation.
 
-    If markers of a standstill share an error, it is expanded about a new fit that accounts for this correlation. If the model
-    leaves smooth errors, the likelihood that allows for them is linearised at the estimate as a whole: a sum of squares
-    linearised in part becomes negative far from the estimate, and the chain would run to ever smaller noise.
+    If the model leaves smooth errors, the likelihood that allows for them is linearised at the estimate as a whole: a sum of
+    squares linearised in part becomes negative far from the estimate, and the chain would run to ever smaller noise.
     """
     means = averaged(data.only(data.train), calibrated.noise(data).only(data.train))
     problem = LeastSquares.of(calibrated.model, *means).reweighted(calibrated.estimate, calibrated.loss)
-    estimate, at_bound = calibrated.estimate, calibrated.at_bound
-    if calibrated.intraclass:
-        counted_once, _ = fit(problem, estimate[None])
-        estimate, at_bound = counted_once.estimate, counted_once.at_bound
-    laplace = Laplace.of(problem, estimate, at_bound)
+    laplace = Laplace.of(problem, calibrated.estimate, calibrated.at_bound)
     if not calibrated.errors.functions:
         return LogPosterior.about(problem, laplace), laplace
     laplace = laplace.beside_smooth_errors(calibrated.covariance)
