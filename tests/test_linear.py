@@ -302,6 +302,21 @@ def test_gross_readings_are_told_and_only_they():
     assert alarms <= binom.isf(0.001, 60, 0.02)
 
 
+def test_gross_readings_hide_no_cause():
+    """Fails if five wrong readings of 20 to 60 standard deviations hide a heater that is found without them, or are one."""
+    found, false = 0, 0
+    for seed in range(20):
+        rng = np.random.default_rng([4, seed])
+        wrong, gross = rng.choice(N, 5, replace=False), rng.uniform(20, 60, 5) * rng.choice([-1, 1], 5)
+        heated, sound = HEATER * 0.2 + SIGMA * rng.standard_normal(N), SIGMA * rng.standard_normal(N)
+        for reading in (heated, sound):
+            reading[wrong] += SIGMA * gross
+        found += [each.name for each in diagnose_linear(-heated, COURSE, [switching()], rng=rng).findings] == ["heater"]
+        false += bool(diagnose_linear(-sound, COURSE, [switching()], rng=rng).findings)
+    assert found >= 18
+    assert false <= binom.isf(0.001, 20, 0.02)
+
+
 @pytest.mark.parametrize("prior_sd", [0.05, 0.1])
 def test_a_cause_beyond_its_prior_makes_no_correlated_errors(prior_sd):
     """Fails if errors, which are independent, are called correlated to make room for a heater three or six times its prior."""

@@ -1,8 +1,9 @@
 """Diagnosis of a linear model: which blocks of regressors it lacks, with what certainty, and which rivals the data allow.
 
 The method is that of the robot's diagnosis: screening, family-wise error control, stepwise search with exchanges, and verdict. The
-refits are exact here, since the problem is linear, and outliers are not down-weighted. Serially correlated errors, along an order
-or in groups, enter the covariance (see `serial_errors`), with variance parameters of maximum restricted likelihood for each model.
+refits are exact here, since the problem is linear. Serially correlated errors, along an order or in groups, enter the covariance
+(see `serial_errors`), with variance parameters of maximum restricted likelihood for each model. Outliers of the model found are
+down-weighted (Geman and McClure 1985), and the search is repeated, since they hide causes.
 """
 
 from __future__ import annotations
@@ -38,6 +39,8 @@ APART = 0.01  # significance level of rows that lie apart, over all rows
 MEDIAN_EFFICIENCY = (
     0.37  # of the median absolute deviation, relative to the standard deviation's of normal errors (Hampel 1974)
 )
+WEIGHINGS = 3  # searches at most after the first, in which the weights of outliers settle
+SETTLED = 1.1  # excess of an outlier over its limit below which its weight has settled
 LEVELS = 20  # most iterations of an unknown noise level
 UNRESTRICTED = 1e4  # prior sd of a parameter without a prior, by its effect on the residuals relative to their norm
 
@@ -123,6 +126,11 @@ class LinearProblem:
     noise_known: bool
     order: RowOrder | None
 
+    def weighed(self, factor: np.ndarray) -> LinearProblem:
+        """Return the problem with each row's noise enlarged by a factor (n,)."""
+        each = factor[:, None]
+        return replace(self, residual=self.residual / factor, jacobian=self.jacobian / each, matrix=self.matrix / each)
+
     @cached_property
     def candidates(self) -> tuple[Candidate[Block], ...]:
         """The blocks, each with the indices of its columns of matrix."""
@@ -199,14 +207,14 @@ class Solution:
         return float((shown / (shown + 1)).sum())
 
     @property
-    def apart(self) -> np.ndarray:
-        """Indices of the rows that lie apart (1 %, over all rows) if errors are normal and of the median size of the others."""
+    def excess(self) -> np.ndarray:
+        """Sizes of the residuals (n,) over the limit of normal errors of the others' median size (1 %, over all rows)."""
         scaled, n = (self.design * self.prior_sd)[:, ~self.at_bound], len(self.residual)
         leverage = np.einsum("ip,pi->i", scaled, np.linalg.solve(scaled.T @ scaled + np.eye(scaled.shape[1]), scaled.T))
         size = np.abs(self.residual) / np.sqrt(np.maximum(1 - leverage, 0.05))
         freedom = max(1.0, MEDIAN_EFFICIENCY * (n - self.effective_parameters))
         usual = np.median(size) / scipy.stats.norm.ppf(0.75)
-        return np.flatnonzero(size > usual * scipy.stats.t.isf(APART / 2 / n, freedom))
+        return np.asarray(size / usual / scipy.stats.t.isf(APART / 2 / n, freedom))
 
     def narrowed(self, columns: np.ndarray) -> float:
         """Return the log determinant of some parameters' covariance in units of their priors, without those at a bound."""
@@ -398,7 +406,7 @@ class LinearAdequacy:
     lack_of_fit is the p-value of the residuals' chi² under the stated noise, taken to be independent; None without a stated noise,
     where lack of fit cannot be distinguished from noise. together is the p-value of the lag-1 autocorrelation of the residuals,
     whitened by the estimated correlation. apart are the rows, from 0, whose residuals are too large for normal errors of the
-    others' median size: outliers, which hide causes since they are not down-weighted, or noise that differs from row to row.
+    others' median size, and which were down-weighted: outliers, or noise that differs from row to row.
     """
 
     lack_of_fit: float | None
@@ -406,15 +414,14 @@ class LinearAdequacy:
     apart: tuple[int, ...]
 
     @staticmethod
-    def of(solution: Solution, independent: Solution, noise_known: bool, rows: np.ndarray) -> LinearAdequacy:
-        """Return the tests of a solved problem, given also its solution with independent errors, and its rows' numbers (n,)."""
+    def of(solution: Solution, independent: Solution, noise_known: bool, apart: np.ndarray) -> LinearAdequacy:
+        """Return the tests of a solved problem, given also its solution with independent errors, and the rows that lie apart."""
         residual = solution.residual
         alike = float(residual[1:] @ residual[:-1] / (residual @ residual)) * np.sqrt(len(residual))
         left = float((independent.residual**2).sum()) * independent.level**2
         freedom = max(1.0, len(residual) - independent.effective_parameters)
         p = float(scipy.stats.chi2.sf(left, freedom)) if noise_known else None
-        apart = tuple(sorted(rows[solution.apart].tolist()))
-        return LinearAdequacy(p, float(2 * scipy.stats.norm.sf(abs(alike))), apart)
+        return LinearAdequacy(p, float(2 * scipy.stats.norm.sf(abs(alike))), tuple(sorted(apart.tolist())))
 
     @property
     def statement(self) -> str:
@@ -428,7 +435,7 @@ class LinearAdequacy:
             words += f" It is correlated from row to row beyond what the noise explains (p = {self.together:.2g})."
         if self.apart:
             listed = ", ".join(map(str, self.apart[:MOST_TOLD])) + (", ..." if len(self.apart) > MOST_TOLD else "")
-            words += f" Rows too far off for normal noise, which may hide causes: {listed} (from 0)."
+            words += f" Rows too far off for normal noise, which count for less: {listed} (from 0)."
         return words
 
 
@@ -495,7 +502,14 @@ def diagnose_linear(
     problem = LinearProblem(
         whitened[rows], design[rows], prior, tuple(candidates), matrix[rows], noise is not None, row_order
     )
-    search = _searched(problem, CauseAcceptance(false_alarm, most), rng)
+    acceptance, factor = CauseAcceptance(false_alarm, most), np.ones(len(rows))
+    search = _searched(problem, acceptance, rng)
+    for _ in range(WEIGHINGS):
+        more = np.maximum(1.0, search.best.solution.excess) ** 2
+        if more.max() < SETTLED:
+            break
+        problem, factor = problem.weighed(more), factor * more
+        search = _searched(problem, acceptance, rng)
     unnamed = _serial_costs(search.best)
     detections = [replace(detection, unnamed=unnamed[detection.cause]) for detection in search.best.findings]
     return LinearDiagnosis(
@@ -503,7 +517,10 @@ def diagnose_linear(
         tuple(dict.fromkeys(block.name for block in candidates if block.name not in _visible(search.best))),
         LinearNoise.of(search.best.solution),
         LinearAdequacy.of(
-            search.best.solution, replace(problem, order=None).solved(search.best.blocks), problem.noise_known, rows
+            search.best.solution,
+            replace(problem, order=None).solved(search.best.blocks),
+            problem.noise_known,
+            rows[factor > 1],
         ),
     )
 
