@@ -114,12 +114,19 @@ def test_what_is_not_corrected_does_not_end_as_if_all_were(cell):
     assert "not corrected, by reason: never taught 1" in some.out
 
 
-def test_nothing_is_written_as_corrected_that_is_not(cell):
+@pytest.mark.parametrize(
+    ("moves", "why"),
+    [(True, "not corrected: 2 targets"), (False, "no target is stated by numbers")],
+    ids=["untaught", "none"],
+)
+def test_nothing_is_written_as_corrected_that_is_not(cell, moves, why):
     """Fails if a program without a target that could be corrected leaves a file with the name of one that was."""
-    (cell / "points.ls").write_bytes(PROGRAM.split("P[1]{")[0].replace("\n", "\r\n").encode() + b"/END\r\n")
+    text = PROGRAM.split("P[1]{")[0]
+    text = text if moves else re.sub(r"(?m)^.*\bP\[\d.*\n", "", text)
+    (cell / "points.ls").write_bytes(text.replace("\n", "\r\n").encode() + b"/END\r\n")
     answer = cell.calflow("filter", cell / "runs", cell / "points.ls", "--payload", "heavy")
     assert answer.code == 1, answer
-    assert answer.out.endswith("wrote no program: no target is stated by numbers\n")
+    assert answer.out.endswith(f"wrote no program: {why}\n")
     assert not (cell / "points.corrected.ls").exists()
 
 
