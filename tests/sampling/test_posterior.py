@@ -167,25 +167,6 @@ def test_prior_and_likelihood_are_kept_of_the_draw_they_belong_to(posterior, sta
         np.testing.assert_array_equal(file["ensemble1"]["blobs"]["log_prior"].ravel(), kept["log_prior"])
 
 
-def test_a_chain_of_an_earlier_version_is_sampled_anew(posterior, start, tmp_path):
-    """Fails if a chain of an earlier version is gone on from, ends in a traceback, or is thrown away without a word."""
-    path, said = tmp_path / "chain.h5", []
-    before = extended(posterior, start, path, [10]).walkers(0, 10)
-    with h5py.File(tmp_path / "earlier.h5", "w") as earlier, h5py.File(path) as file:
-        for name in file:
-            file.copy(name, earlier)
-        del earlier["ensemble1"]["blobs"]
-        earlier["ensemble1"].attrs["has_blobs"] = False
-    (tmp_path / "earlier.h5").rename(path)
-    chain = extended(posterior, start, path, [10], said.append)
-    assert chain.ensembles[0].iteration == 10
-    assert chain.ensembles[0].has_blobs()
-    np.testing.assert_array_equal(chain.walkers(0, 10), before)
-    (line,) = said
-    assert "not of this version" in line
-    assert "sampling starts anew" in line
-
-
 def test_a_likelihood_that_was_changed_is_not_gone_on_from(posterior, start, tmp_path):
     """Fails if the checksum leaves out what is kept of each draw."""
     path, said = tmp_path / "chain.h5", []

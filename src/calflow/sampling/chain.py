@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 ENOUGH_TAU = 30  # least length of a chain in units of the longest autocorrelation time, estimated from all walkers
 BLOBS = np.dtype([("log_prior", np.float64), ("log_likelihood", np.float64)])  # of each draw
 SAVED = ("chain", "log_prob", "blobs", "accepted")  # of an ensemble, under the names of emcee's HDF backend
-COORDINATES = "cut normals"  # coordinates in which walkers are stored; a chain in others is not continued
 DIGEST = 512  # bytes of HDF5's user block, which holds the SHA-256 of the rest; a run continues no other file
 
 
@@ -80,16 +79,14 @@ class Chain:
 
         Raises:
             OSError: it cannot be read.
-            ValueError: it was changed since it was written, or another version wrote it.
+            ValueError: it was changed since it was written.
         """
         import h5py
 
         content = path.read_bytes()
         if content[:DIGEST] != _digest(content[DIGEST:]):
-            raise ValueError("its checksum is wrong, or it is not of this version")
+            raise ValueError("its checksum is wrong")
         with h5py.File(io.BytesIO(content), "r") as file:
-            if file.attrs["coordinates"] != COORDINATES:
-                raise ValueError("its walkers are in the coordinates of an earlier version")
             ensembles = tuple(_loaded(file[f"ensemble{number}"]) for number in range(1, len(file) + 1))
             return Chain(path, ensembles, float(file.attrs["independent"]))
 
@@ -103,7 +100,7 @@ class Chain:
 
         image = io.BytesIO()
         with h5py.File(image, "w", userblock_size=DIGEST) as file:
-            file.attrs["independent"], file.attrs["coordinates"] = self.independent, COORDINATES
+            file.attrs["independent"] = self.independent
             for number, ensemble in enumerate(self.ensembles, start=1):
                 _store(ensemble, file.create_group(f"ensemble{number}"))
         content = image.getbuffer()[DIGEST:]

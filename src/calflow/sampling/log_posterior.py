@@ -29,7 +29,6 @@ Squares = Callable[[np.ndarray], np.ndarray]
 NEAR_BOUND = 5.0  # distance from a bound, in standard deviations of the fit, within which a parameter is transformed
 LOG_NOISE_SD = 1.0  # prior sd of the log of the noise level: a factor e either way
 VARIANCE_PASSES = 3  # iterations of noise level and effective number of parameters, which depend on each other weakly
-LEAST_DEGREES = 8  # degrees of freedom of the Student t proposal: tails heavier than those of Laplace's normal
 EXPECTED_EVALUATIONS = 10_000  # per row: sampling always pays for compiling
 
 
@@ -241,8 +240,9 @@ def move_mixture(independent: float) -> list[tuple[Move, float]]:
 
 def propose_student(u: np.ndarray, rng: np.random.RandomState) -> tuple[np.ndarray, np.ndarray]:
     """Return draws (n_walkers, n_dimensions) of a multivariate Student t of unit scale, and log Hastings ratios for emcee."""
-    # With few degrees of freedom, radii in many dimensions would differ from a normal's.
-    degrees = max(LEAST_DEGREES, 2 * u.shape[1])
+    degrees = (
+        2 * u.shape[1]
+    )  # heavier tails than a normal's; with fewer, radii in many dimensions would differ from its
     mixing = rng.chisquare(degrees, size=(len(u), 1)) / degrees
     proposed = rng.standard_normal(u.shape) / np.sqrt(mixing)
     student = scipy.stats.multivariate_t(shape=np.eye(u.shape[1]), df=degrees)
