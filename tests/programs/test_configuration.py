@@ -111,6 +111,19 @@ def test_a_flag_at_a_boundary_is_that_of_the_corrected_posture():
     assert quarters.changes(before, after) == ()
 
 
+def test_a_flag_taught_on_a_boundary_goes_where_its_joint_goes():
+    """Fails if axis 4 of a target, taught at 0 and found a rounding below, is sent below 0 with the flag of 0 and more."""
+    before, after = posture(10, -90, 90, -1e-9, 15, 1e-9), posture(10, -90, 90, -0.08, 15, -0.05)
+    quarters = RapidConfiguration(flags("0", "0", "0", "0"))
+    assert quarters.changes(before, after) == ((quarters.flags[1], "-1"), (quarters.flags[2], "-1"))
+    assert quarters.changes(before, posture(11, -90, 90, -1e-9, 15, -1e-9)) == ((quarters.flags[2], "-1"),)
+    bits = KrlConfiguration(flags("2", "2"), ("S", "T"))
+    assert bits.changes(before, after) == ((bits.flags[1], "42"),)
+    turns = FanucConfiguration(flags("N", "U", "T", "0", "0", "0"))
+    below, beyond = posture(0, 0, 0, 180 + 1e-9, -30, 0), posture(0, 0, 0, 180.1, -30, 0)
+    assert turns.changes(below, beyond) == ((turns.flags[4], "1"),)
+
+
 def test_a_flag_that_some_robots_do_not_use_is_not_asked_for_twice():
     """Fails if a cfx that is always 0 makes a target's posture unknown."""
     unused = RapidConfiguration(flags("0", "0", "0", "0"))

@@ -17,6 +17,10 @@ import numpy as np
 from calflow.deployment.conventions import Turn, pose_matrix
 
 NEAR_CHANGE = np.deg2rad(0.5)  # distance from a flag's switching angle within which both values are accepted
+TAUGHT, WRITTEN = (
+    1e-4,
+    1e-6,
+)  # rad: distance from a boundary at which the digits of a pose, or ours, do not tell its side
 KRL_BITS = {"S": 3, "T": 6}  # number of bits with a known meaning
 UNASKED: tuple[Reason, ...] = ("tool or frame", "no move")  # reasons of entries that no move uses
 
@@ -64,20 +68,31 @@ class Configuration(ABC):
 
     def agrees(self, posture: ArmPosture, margin: float = NEAR_CHANGE, strictly: bool = True) -> bool:
         """Return whether each mark agrees with the posture, or with it shifted by a margin [rad] either way."""
-        around = [self.of(posture)]
-        if margin:
-            around += [
-                self.of(replace(posture, readings=tuple(np.add(posture.readings, d)))) for d in (-margin, margin)
-            ]
-        return all(
-            None in marks or mark in marks
-            for mark, marks in zip(self.judged(strictly), zip(*around, strict=True), strict=False)
-        )
+        around = self._around(posture, margin)
+        return all(None in marks or mark in marks for mark, marks in zip(self.judged(strictly), around, strict=False))
+
+    def _around(self, posture: ArmPosture, margin: float) -> list[tuple[str | None, ...]]:
+        """Return of each mark the values at a posture, and at those a margin [rad] before and behind it."""
+        shifted = (replace(posture, readings=tuple(np.add(posture.readings, d))) for d in (0.0, -margin, margin))
+        return list(zip(*map(self.of, shifted), strict=True))
 
     def changes(self, before: ArmPosture, after: ArmPosture) -> tuple[tuple[Flag, str], ...]:
         """Return the flags that a correction changes, each with its new text."""
-        pairs = zip(self.flags, self.of(before), self.of(after), strict=True)
-        return tuple((flag, new) for flag, old, new in pairs if new not in (None, old, flag.text) and old is not None)
+        return tuple((flag, new) for flag, new in zip(self.flags, self._new(before, after), strict=True) if new)
+
+    def _new(self, before: ArmPosture, after: ArmPosture) -> list[str]:
+        """Return the new value of each mark; empty: it stays.
+
+        One changes if its boundary is crossed, or if it was taught on the boundary, where the file may have either value, and is
+        now on the other side. A mark that says something else, as an unused one, stays.
+        """
+        known = zip(self.marks, self._around(before, TAUGHT), self._around(after, WRITTEN), strict=True)
+        return [
+            new[0]
+            if new[0] and old[0] and (old[0] != new[0] or (mark in old and mark not in new)) and mark != new[0]
+            else ""
+            for mark, old, new in known
+        ]
 
 
 @dataclass(frozen=True)
@@ -144,12 +159,12 @@ class KrlConfiguration(Configuration):
         return tuple(None if bit is None else str(int(bit)) for name in self.named for bit in bits[name])
 
     def changes(self, before: ArmPosture, after: ArmPosture) -> tuple[tuple[Flag, str], ...]:
-        """Return the flags whose bits change between two postures, each with its new text."""
-        old, new, flags = iter(self.of(before)), iter(self.of(after)), []
+        """Return the flags of which bits change, each with its new text."""
+        bits, flags = iter(self._new(before, after)), []
         for name, flag in self._pairs:
             value = _krl_value(flag)
             for k in range(KRL_BITS[name]):
-                if (bit := next(new)) != next(old) and bit is not None:
+                if bit := next(bits):
                     value = value & ~(1 << k) | int(bit) << k
             if value != _krl_value(flag):
                 width = len(flag.text) - 3
