@@ -119,6 +119,9 @@ def test_a_flag_taught_on_a_boundary_goes_where_its_joint_goes():
     assert quarters.changes(before, posture(11, -90, 90, -1e-9, 15, -1e-9)) == ((quarters.flags[2], "-1"),)
     bits = KrlConfiguration(flags("2", "2"), ("S", "T"))
     assert bits.changes(before, after) == ((bits.flags[1], "42"),)
+    coarse = posture(10, -90, 90, -0.004, 15, 10)  # of a pose with few digits, near a singular one
+    assert quarters.changes(coarse, posture(10, -90, 90, -0.1, 15, 10)) == ((quarters.flags[1], "-1"),)
+    assert quarters.changes(coarse, posture(10, -90, 90, -0.001, 15, 10)) == ()
     turns = FanucConfiguration(flags("N", "U", "T", "0", "0", "0"))
     below, beyond = posture(0, 0, 0, 180 + 1e-9, -30, 0), posture(0, 0, 0, 180.1, -30, 0)
     assert turns.changes(below, beyond) == ((turns.flags[4], "1"),)

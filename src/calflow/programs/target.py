@@ -17,10 +17,7 @@ import numpy as np
 from calflow.deployment.conventions import Turn, pose_matrix
 
 NEAR_CHANGE = np.deg2rad(0.5)  # distance from a flag's switching angle within which both values are accepted
-TAUGHT, WRITTEN = (
-    1e-4,
-    1e-6,
-)  # rad: distance from a boundary at which the digits of a pose, or ours, do not tell its side
+MARGINS = NEAR_CHANGE / 2.0 ** np.arange(16, -1, -1)  # distances at which one that was taught there may be found
 KRL_BITS = {"S": 3, "T": 6}  # number of bits with a known meaning
 UNASKED: tuple[Reason, ...] = ("tool or frame", "no move")  # reasons of entries that no move uses
 
@@ -83,16 +80,19 @@ class Configuration(ABC):
     def _new(self, before: ArmPosture, after: ArmPosture) -> list[str]:
         """Return the new value of each mark; empty: it stays.
 
-        One changes if its boundary is crossed, or if it was taught on the boundary, where the file may have either value, and is
-        now on the other side. A mark that says something else, as an unused one, stays.
+        One changes if its boundary is crossed, or if it was taught on the boundary, where the file may have either value, and
+        leaves it. A mark that says something else, as an unused one, stays.
         """
-        known = zip(self.marks, self._around(before, TAUGHT), self._around(after, WRITTEN), strict=True)
-        return [
-            new[0]
-            if new[0] and old[0] and (old[0] != new[0] or (mark in old and mark not in new)) and mark != new[0]
-            else ""
-            for mark, old, new in known
-        ]
+        new = []
+        for k, (mark, was, now) in enumerate(zip(self.marks, self.of(before), self.of(after), strict=True)):
+            known = was is not None and now is not None and mark != now
+            new.append(now or "" if known and (was != now or self._left(k, mark, before, after)) else "")
+        return new
+
+    def _left(self, k: int, mark: str, before: ArmPosture, after: ArmPosture) -> bool:
+        """Return whether a joint leaves the boundary at which a posture was taught on the other side of it than it is found."""
+        found = next((margin for margin in MARGINS if mark in self._around(before, margin)[k]), None)
+        return found is not None and mark not in self._around(after, found)[k]
 
 
 @dataclass(frozen=True)
