@@ -96,7 +96,7 @@ def not_known(calibrated: CalibratedModel, conditions: np.ndarray) -> list[str]:
     untold = calibrated.untold_turns(few)
     problems += [
         f"the tool's turn about its own {axis} is known to {1e3 * typical[k]:.2g} mrad only, which is an assumption about "
-        "robots like this: only measured orientations would show it"
+        "robots like this or a statement of the study: only measured orientations would show it"
         for k, axis in enumerate("xyz")
         if untold[k] > MOST_UNTOLD
     ]
