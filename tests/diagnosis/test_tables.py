@@ -94,6 +94,19 @@ def member(number, cost, name, joint=2, **variant):
     return row, verdict_
 
 
+def test_an_order_that_is_only_suspected_is_told_with_the_one_in_use():
+    """Fails if the finding is described by what is not in the model to be used, or does not say what is left out of it."""
+    (first, one), (second, two) = (
+        member(1, -50.0, "joint-eccentricity"),
+        member(2, -90.0, "periodic-joint-error", order=5.0),
+    )
+    row = _together([replace(first, deployed=True), replace(second, deployed=False)], [one, two])
+    assert (row.cause, row.deployed, row.numbers) == ("joint-eccentricity", True, (1, 2))
+    assert row.statement.endswith("; suspected, and left out of the model: periodic error (order 5)")
+    neither = _together([replace(first, deployed=False), replace(second, deployed=False)], [one, two])
+    assert (neither.cause, neither.is_suspicion) == ("periodic-joint-error", True)
+
+
 def test_several_orders_of_a_joint_are_one_finding_of_their_family():
     """Fails if each order is told as a cause of its own, or what one member cannot be told from is lost."""
     (first, one), (second, two) = (

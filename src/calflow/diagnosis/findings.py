@@ -114,7 +114,8 @@ class Finding:
     )
     deployed: bool | None = column(
         "whether a cause is in the model to be used: one of the robot that is not certain, and does not lower the leave-one-pose-"
-        "out error, is not; one of the measuring device always is, and changes no command; empty: no cause",
+        "out error, is not; one of the measuring device always is, and changes no command; of several, whether any is, whose gain "
+        "is then stated; empty: no cause",
         default=None,
     )  # fmt: skip
     error_unit: str = column(
@@ -310,16 +311,16 @@ def findings(
     steps = [errors(model, estimate, heldout) for model, estimate in fits]
     for (model, _), error in zip(fits, steps, strict=True):
         error[model.undecided(data)[data.held_out]] = np.nan
-    n = diagnosis.n_deployed  # members of one family may be deployed and suspected
-    suspected = [[n + k for k in members] for members in _kept_together(diagnosis.causes[n:])]
-    for members in (*_kept_together(diagnosis.causes[:n]), *suspected):
+    n = diagnosis.n_deployed
+    for members in _kept_together(diagnosis.causes):
         causes = [
             _cause(verdict, final, _overlapping(verdict.finding.cause, final.model, diagnosis.left), k + 1, k < n)
             for k, verdict in ((k, diagnosis.verdicts[k]) for k in members)
         ]
         row = causes[0] if len(causes) == 1 else _together(causes, [diagnosis.verdicts[k] for k in members])
         before = steps[members[0]]
-        after = before + sum(steps[k + 1] - steps[k] for k in members)
+        used = [k for k in members if k < n] or members  # members of one family may be deployed and suspected
+        after = before + sum(steps[k + 1] - steps[k] for k in used)
         rows.append(_gained(row, before, after, heldout, rng))
     if diagnosis.capped and diagnosis.verdicts:
         more = f"; with it as many causes were found as were allowed ({len(diagnosis.verdicts)}): there may be more"
@@ -355,8 +356,8 @@ def _kept_together(causes: Sequence[Cause]) -> list[list[int]]:
 
 
 def _together(rows: Sequence[Finding], verdicts: Sequence[Verdict]) -> Finding:
-    """Return one finding for several causes of a family at one place, described by the one that explains most."""
-    order = sorted(range(len(rows)), key=lambda k: verdicts[k].finding.own.cost)
+    """Return one finding for several causes of a family at one place, described by the one in use that explains most."""
+    order = sorted(range(len(rows)), key=lambda k: (not rows[k].deployed, verdicts[k].finding.own.cost))
     lead, causes = rows[order[0]], [verdicts[k].finding.cause for k in order]
     own, *kin = map(named, causes)
     others = [named(rival) for verdict in verdicts for rival in verdict.others]
@@ -370,6 +371,8 @@ def _together(rows: Sequence[Finding], verdicts: Sequence[Verdict]) -> Finding:
     sd = float(np.sqrt(sum((row.estimate * row.sd) ** 2 for row in same))) / size
     whole = Amplitude.of_squares(size, sd)
     names = [f"{cause.title} ({cause.detail})" if cause.detail else cause.title for cause in causes]
+    left_out = [name for k, name in zip(order, names, strict=True) if lead.deployed and not rows[k].deployed]
+    doubts = f"; suspected, and left out of the model: {' and '.join(left_out)}" if left_out else ""
     carried = [row.carries_over for row in rows]
     return replace(
         lead, status="one_of", estimate=size, sd=sd, low=whole.low, high=whole.high, p_family=min(row.p_family for row in rows),
@@ -377,7 +380,7 @@ def _together(rows: Sequence[Finding], verdicts: Sequence[Verdict]) -> Finding:
         family_probability=max(row.family_probability for row in rows),
         cannot_tell_from=tuple(name for name in alike if name != lead.cause),
         detail=", with ".join([lead.detail or causes[0].title, *names[1:]]),
-        statement=f"{causes[0].effect.family}{_where(causes[0])}: {', and '.join(names)}",
+        statement=f"{causes[0].effect.family}{_where(causes[0])}: {', and '.join(names)}{doubts}",
         **Finding.of_rivals([*dict.fromkeys(rivals)]),
         not_tested=tuple(dict.fromkeys(name for row in rows for name in row.not_tested)),
         carries_over=False if False in carried else None if None in carried else True,
