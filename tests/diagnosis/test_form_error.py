@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calflow.diagnosis.extension import FittedTrial, extend
+from calflow.diagnosis.background import BackgroundBasis, uneven_or_other_forms
+from calflow.diagnosis.extension import FittedTrial, extend, unnamed
 from calflow.diagnosis.form_error import variations
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.stepwise import CauseAcceptance
@@ -62,3 +63,17 @@ def test_a_form_error_is_smooth_in_what_its_cause_acts_through(poses):
     functions = variations(cause("gear-ratio-error", "joint2"), fitted)[order]
     assert np.abs(np.diff(functions[:, 0], n=1)).sum() == pytest.approx(np.ptp(functions[:, 0]))
     assert (functions**2).sum(axis=1).mean() == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(("left", "order", "stands"), [("cube", 4.0, False), ("wave", 15.0, True)])
+def test_what_a_large_cause_leaves_by_its_form_is_no_second_cause(poses, left, order, stands):
+    """Fails if a cause is certain that only makes up for another one's form, or a true one is not beside such errors."""
+    ratio, second = cause("gear-ratio-error", "joint2"), cause("periodic-joint-error", "joint2", order=order)
+    q = poses.table["q2"].to_numpy()
+    u = (q - (q.min() + q.max()) / 2) / HALF
+    off = 2e-3 * u + (6e-4 * u**3 if left == "cube" else 1.5e-4 * np.cos(order * q))
+    known = start(replace(poses, table=poses.table.assign(q2=q - off)))
+    both, variants = known.with_causes([ratio, second]), {ratio.place: 1, second.place: 1}
+    against = unnamed(both, BackgroundBasis.of(known), variants, varying=uneven_or_other_forms)
+    assert against[ratio] > 0
+    assert against[second] > 100 if stands else against[second] < 0

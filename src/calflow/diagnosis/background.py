@@ -10,7 +10,7 @@ component of its own; without the cause, they stand for an unnamed error that mo
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -19,9 +19,11 @@ import numpy as np
 import scipy
 
 from calflow.diagnosis.fitted import Fitted
+from calflow.diagnosis.form_error import SHARE, variations
 from calflow.diagnosis.regressors import Background, Regressors, TallMatrix, principal
 from calflow.diagnosis.screening import Screening
 from calflow.effects.cause import Cause
+from calflow.estimation.calibrated_model import MANY
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.residual_field import learnt
 from calflow.estimation.smooth_functions import JointField, SmoothFunction, beside_joints, moved_together
@@ -36,6 +38,8 @@ FAINT = 1e-4  # singular value of a part's functions over the largest, below whi
 FEW_POSES = 32  # up to which uneven amplitudes are used: with more poses they would be another form of the cause
 NODES = 150  # poses from which a field's correlation lengths are learnt, at most: time grows with the cube
 FEW_AMPLITUDES = 4  # parameters at most of a cause that is not a smooth function itself
+# Returns how the effects of a model's causes may vary beside a background (n, …), those of one alone where it is replaced.
+Varying = Callable[[Fitted, Cause | None], Sequence[np.ndarray]]
 # Steps of the intraclass correlation, from its estimate by the residual alone down to 0.
 STEPS = 3
 
@@ -88,14 +92,15 @@ class BackgroundBasis:
 
     modes (n, n_modes): orthonormal modes of the whitened residuals; kinds: inputs and functions of each part; parts: the basis
     functions of each part in the modes, (n_modes, n_waves), at a decoy's size; weight (n,): whitening factors of the residuals
-    for which the modes were computed; sized: cache of variance components, by a model's causes and its intraclass correlation.
+    for which the modes were computed; sized: cache of variance components, by a model's causes, its intraclass correlation and
+    how its causes vary.
     """
 
     modes: np.ndarray
     kinds: tuple[tuple[tuple[str, ...], list[SmoothFunction]], ...]
     parts: tuple[np.ndarray, ...]
     weight: np.ndarray
-    sized: dict[tuple[frozenset[Cause], float], Sizes] = field(default_factory=dict, repr=False)
+    sized: dict[tuple[frozenset[Cause], float, Varying], Sizes] = field(default_factory=dict, repr=False)
 
     @staticmethod
     def of(fitted: Fitted) -> BackgroundBasis:
@@ -182,6 +187,19 @@ def uneven_causes(fitted: Fitted, alone: Cause | None = None) -> list[np.ndarray
         share = USUAL**-0.5 if cause == alone else 1.0
         unevenly.append(each_pose(regressors.jacobian[:, columns] * (unit * size * share), pose))
     return unevenly
+
+
+def uneven_or_other_forms(fitted: Fitted, alone: Cause | None = None) -> list[np.ndarray]:
+    """Return the same, or with more poses the form errors of the causes but the one alone, with which it is weighed."""
+    if unevenly := uneven_causes(fitted, alone):
+        return unevenly
+    regressors, forms = fitted.alone, []
+    for cause in fitted.causes:
+        columns, value = fitted.own(cause)
+        if cause != alone and 0 < len(columns) <= MANY:
+            smooth = variations(cause, fitted)[fitted.problem.row]
+            forms.append((regressors.jacobian[:, columns] @ value)[:, None] * smooth * (SHARE * USUAL**-0.5))
+    return forms
 
 
 def each_pose(functions: np.ndarray, pose: np.ndarray) -> np.ndarray:
@@ -272,11 +290,11 @@ class Sizes:
     components: VarianceComponents
 
     @staticmethod
-    def beside(fitted: Fitted, basis: BackgroundBasis) -> Sizes:
+    def beside(fitted: Fitted, basis: BackgroundBasis, varying: Varying = uneven_causes) -> Sizes:
         """Return the components beside a fitted model, whose parameters are integrated out; cached by model."""
-        state = frozenset(fitted.causes), fitted.intraclass
+        state = frozenset(fitted.causes), fitted.intraclass, varying
         if state not in basis.sized:
-            basis.sized[state] = Sizes.of(fitted.alone, basis, fitted.problem, uneven_causes(fitted))
+            basis.sized[state] = Sizes.of(fitted.alone, basis, fitted.problem, varying(fitted, None))
         return basis.sized[state]
 
     @staticmethod

@@ -18,7 +18,16 @@ from typing import cast
 
 import numpy as np
 
-from calflow.diagnosis.background import JOINTS, BackgroundBasis, Sizes, background, beside_background, uneven_causes
+from calflow.diagnosis.background import (
+    JOINTS,
+    BackgroundBasis,
+    Sizes,
+    Varying,
+    background,
+    beside_background,
+    uneven_causes,
+    uneven_or_other_forms,
+)
 from calflow.diagnosis.cross_validation import carrying
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.form_error import with_form_errors
@@ -195,20 +204,24 @@ def unnamed(
     basis: BackgroundBasis,
     variants: Mapping[Place, int],
     same_in: Callable[[Cause], Collection[str]] = lambda cause: cause.effect.smooth_in,
+    varying: Varying = uneven_causes,
 ) -> dict[Cause, float]:
     """Return twice the log evidence of each cause against a background in its place.
 
     It is negative where an unnamed error explains the data better. Each model has its own likeliest background; parameters are
     integrated out by Laplace's approximation, as the background's amplitudes are, so that a smooth curve of many waves and a
     background of as many are treated alike. A background along an input of which the cause is a general smooth function would be
-    the same without a name, and is no rival: same_in returns these inputs. variants are the numbers of forms tried at each place.
+    the same without a name, and is no rival: same_in returns these inputs. variants are the numbers of forms tried at each place;
+    varying returns how the causes' effects may vary beside the background.
     Linear, without a refit.
     """
     evidence = dict[Cause, float]()
     for cause in fitted.causes:
         without = fitted.alone.without(*fitted.own(cause))
-        unevenly = uneven_causes(fitted, alone=cause)
-        other, whole = Sizes.of(without, basis, fitted.problem, unevenly), Sizes.beside(fitted, basis)
+        other, whole = (
+            Sizes.of(without, basis, fitted.problem, varying(fitted, cause)),
+            Sizes.beside(fitted, basis, varying),
+        )
         lost, kept = (sizes.likeliest(other.components.total, same_in(cause)) for sizes in (other, whole))
         evidence[cause] = lost - kept - spent(*_relative_amplitudes(fitted, cause, fitted.fit.estimate, variants))
     return evidence
@@ -268,7 +281,7 @@ def weighed(
         found = ended.fitted
         if frozenset(found.causes) == held:
             break
-    against = unnamed(ended.fitted, basis, catalogue.variants)
+    against = unnamed(ended.fitted, basis, catalogue.variants, varying=uneven_or_other_forms)
     carries = dict(zip(against, carrying(ended.fitted, basis, against), strict=True)) if against else {}
     findings = (
         replace(finding, unnamed=against[finding.cause], carries_over=carries[finding.cause])
