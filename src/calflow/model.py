@@ -477,9 +477,15 @@ class Model:
         """Return the reported positions [m] in the measuring frame, shape (n_rows, 3), for rows (n_conditions, n_rows)."""
         return self.figures("position", lambda p, c, at: [at.position], p, conditions)[0][:, :, 0]
 
-    def point(self, p: np.ndarray, conditions: np.ndarray) -> np.ndarray:
-        """Return the true positions of the markers [m], without errors of the device, shape (n_rows, 3)."""
-        return self.figures("point", lambda p, c, at: [at.point], p, conditions)[0][:, :, 0]
+    def point(self, p: np.ndarray, conditions: np.ndarray, places: np.ndarray | None = None) -> np.ndarray:
+        """Return the true positions (n_rows, 3) [m] of the markers, without errors of the device.
+
+        Of other points of the last link, if places (n_rows, 3) [m] in its frame are given.
+        """
+        if places is None:
+            return self.figures("point", lambda p, c, at: [at.point], p, conditions)[0][:, :, 0]
+        frame = self.link(self.robot.links[-1], p, conditions)
+        return np.asarray(np.einsum("nij,nj->ni", frame[:, :3, :3], places) + frame[:, :3, 3])
 
     def rotation(self, p: np.ndarray, conditions: np.ndarray) -> np.ndarray:
         """Return the rotations of the tool in the measuring frame, shape (n_rows, 3, 3)."""
@@ -500,19 +506,12 @@ class Model:
         )
         return position[:, :, 0], slope
 
-    def point_jacobian(self, p: np.ndarray, conditions: np.ndarray) -> np.ndarray:
+    def point_jacobian(self, p: np.ndarray, conditions: np.ndarray, places: np.ndarray | None = None) -> np.ndarray:
         """Return the Jacobian of `point`, shape (n_rows, 3, n_parameters)."""
-        return self.figures("point_jacobian", lambda p, c, at: [ca.jacobian(at.point, p)], p, conditions)[0]
-
-    def carried(self, p: np.ndarray, conditions: np.ndarray, places: np.ndarray) -> np.ndarray:
-        """Return points (n_rows, 3) [m] of the last link, each at a place in its frame, in the measuring frame."""
-        frame = self.link(self.robot.links[-1], p, conditions)
-        return np.asarray(np.einsum("nij,nj->ni", frame[:, :3, :3], places) + frame[:, :3, 3])
-
-    def carried_jacobian(self, p: np.ndarray, conditions: np.ndarray, places: np.ndarray) -> np.ndarray:
-        """Return the Jacobian of `carried`, shape (n_rows, 3, n_parameters)."""
+        if places is None:
+            return self.figures("point_jacobian", lambda p, c, at: [ca.jacobian(at.point, p)], p, conditions)[0]
         slope = self.figures(
-            "carried", lambda p, c, at: [ca.jacobian(at.link(self.robot.links[-1])[:3, :], p)], p, conditions
+            "link_jacobian", lambda p, c, at: [ca.jacobian(at.link(self.robot.links[-1])[:3, :], p)], p, conditions
         )[0].reshape(len(places), 4, 3, -1)  # a column of the frame after the other
         return np.asarray(np.einsum("ncip,nc->nip", slope[:, :3], places) + slope[:, 3])
 

@@ -221,8 +221,7 @@ class Attained:
         noise = np.sqrt(np.bincount(group, weights=np.nan_to_num(calibrated.device_sigma(data)) ** 2)) / count
         every = calibrated.shared_errors(rows, places)
         shared = mean(every.reshape(len(every), -1)).reshape(-1, *every.shape[1:])
-        whole = calibrated.position_variance(rows) if places is None else calibrated.carried_variance(rows, places)
-        left = mean(whole).sum(axis=1) - (shared**2).sum(axis=(1, 2))
+        left = mean(calibrated.position_variance(rows, places)).sum(axis=1) - (shared**2).sum(axis=(1, 2))
         if figures is not None:
             model = replace(figures.model.later(data), given=calibrated.model.given)
             expected[FIGURES] = mean(model.point(figures.estimate, rows))

@@ -321,8 +321,9 @@ def _judged(
     remaining, turned = misses(data.conditions)
     nominal_miss, nominal_turned = misses(_led(stated, start, ways).data.conditions)
     clear = clearance(model, data.conditions, oriented)
-    of_marker = calibrated.position_variance(data.conditions)
-    variance = of_marker if places is None else calibrated.carried_variance(data.conditions, places)
+    variance = of_marker = calibrated.position_variance(data.conditions)
+    if places is not None:
+        variance = calibrated.position_variance(data.conditions, places)
     names, lost = data.table["pose"].astype(str).to_numpy(), ~landed.reached
     notes = [
         *_of_rows(f"out of reach within the joint limits ({1 + TRIED} starts tried)", lost & ~elsewhere, names),

@@ -190,7 +190,7 @@ def uneven_causes(fitted: Fitted, alone: Cause | None = None) -> list[np.ndarray
 
 
 def uneven_or_other_forms(fitted: Fitted, alone: Cause | None = None) -> list[np.ndarray]:
-    """Return the same, or with more poses the form errors of the causes but the one alone, with which it is weighed."""
+    """Return the effects of `uneven_causes`; where there are none, as with more poses, the form errors of the other causes."""
     if unevenly := uneven_causes(fitted, alone):
         return unevenly
     regressors, forms = fitted.alone, []

@@ -212,16 +212,13 @@ def unnamed(
     integrated out by Laplace's approximation, as the background's amplitudes are, so that a smooth curve of many waves and a
     background of as many are treated alike. A background along an input of which the cause is a general smooth function would be
     the same without a name, and is no rival: same_in returns these inputs. variants are the numbers of forms tried at each place;
-    varying returns how the causes' effects may vary beside the background.
-    Linear, without a refit.
+    varying returns how the causes' effects may vary beside the background. Linear, without a refit.
     """
     evidence = dict[Cause, float]()
     for cause in fitted.causes:
         without = fitted.alone.without(*fitted.own(cause))
-        other, whole = (
-            Sizes.of(without, basis, fitted.problem, varying(fitted, cause)),
-            Sizes.beside(fitted, basis, varying),
-        )
+        other = Sizes.of(without, basis, fitted.problem, varying(fitted, cause))
+        whole = Sizes.beside(fitted, basis, varying)
         lost, kept = (sizes.likeliest(other.components.total, same_in(cause)) for sizes in (other, whole))
         evidence[cause] = lost - kept - spent(*_relative_amplitudes(fitted, cause, fitted.fit.estimate, variants))
     return evidence

@@ -72,9 +72,7 @@ def choice_errors(
 
 def points_at(conditions: np.ndarray, places: np.ndarray | None = None) -> Quantity:
     """Return the positions (n_rows, 3) [m] of the markers, or of places on the last link, as a quantity of packed conditions."""
-    if places is None:
-        return lambda model, estimate: model.point(estimate, conditions)
-    return lambda model, estimate: model.carried(estimate, conditions, places)
+    return lambda model, estimate: model.point(estimate, conditions, places)
 
 
 @dataclass(frozen=True)
@@ -194,52 +192,40 @@ class CalibratedModel:
         )
         return lean, tuple(held)
 
-    def position_variance(self, conditions: np.ndarray) -> np.ndarray:
+    def position_variance(self, conditions: np.ndarray, places: np.ndarray | None = None) -> np.ndarray:
         """Return the predictive variance of each row's position per axis, shape (n_rows, 3) [m²].
 
         It is the sum of the variances by the parameters, by the choice of the model and by the model's smooth errors given the data
         at that place and time (with a residual field, by the field instead). Noise estimated from the fit itself is included.
+
+        It is of the markers, or of places (n_rows, 3) [m] in the last link's frame: a marker's error says nothing of what the data
+        cannot tell from its place on the link, as the last link's length.
         """
-        of_choice = (choice_errors(self.alternatives, *self._fitted, points_at(conditions)) ** 2).sum(axis=2)
+        of_choice = (choice_errors(self.alternatives, *self._fitted, points_at(conditions, places)) ** 2).sum(axis=2)
         if self.field:
-            return np.asarray(of_choice + self.parameter_variance(conditions) + self.left_variance(conditions))
-        every = (self.errors.slopes(*self._fitted, part) for part in _some(conditions))
+            return np.asarray(of_choice + self.parameter_variance(conditions, places) + self.left_variance(conditions))
+        every = (self.errors.slopes(*self._fitted, *part) for part in _parts(conditions, places))
         smooth = [(self.errors.shared(slopes, self.covariance) ** 2).sum(axis=2) for slopes in every]
         return of_choice + np.concatenate(smooth) + self.errors.rest[METRE] ** 2
-
-    def carried_variance(self, conditions: np.ndarray, places: np.ndarray) -> np.ndarray:
-        """Return that of points of the last link, at places (n_rows, 3) [m] in its frame, instead of the markers'.
-
-        A marker's error says nothing of what the data cannot tell from its place on the link, as the last link's length.
-        """
-        if not self.field:
-            return np.asarray((self.shared_errors(conditions, places) ** 2).sum(axis=2) + self.errors.rest[METRE] ** 2)
-        choice = choice_errors(self.alternatives, *self._fitted, points_at(conditions, places))
-        slopes = self.model.carried_jacobian(self.estimate, conditions, places)
-        of_parameters_alone = of_parameters(slopes, self.errors.about_mean(self.covariance))
-        return np.asarray((choice**2).sum(axis=2) + of_parameters_alone + self.left_variance(conditions))
 
     def shared_errors(self, conditions: np.ndarray, places: np.ndarray | None = None) -> np.ndarray:
         """Return the errors that rows share, as factors (n_rows, 3, n) [m] of n independent standard normals.
 
         They hold the errors of the parameters, the smooth errors and the choice of the model, without a residual field; the squares
-        add up to `position_variance`, or at places to `carried_variance`, less the part that is independent from row to row.
+        add up to `position_variance` less the part that is independent from row to row.
         """
-        slopes = self.errors.slopes(*self._fitted, conditions)
-        if places is not None:
-            slopes[:, :, : len(self.estimate)] = self.model.carried_jacobian(self.estimate, conditions, places)
+        slopes = self.errors.slopes(*self._fitted, conditions, places)
         choice = choice_errors(self.alternatives, *self._fitted, points_at(conditions, places))
         return np.concatenate([self.errors.shared(slopes, self.covariance), choice], axis=2)
 
-    def parameter_variance(self, conditions: np.ndarray) -> np.ndarray:
+    def parameter_variance(self, conditions: np.ndarray, places: np.ndarray | None = None) -> np.ndarray:
         """Return the variance of each row's position per axis (n_rows, 3) [m²] by the parameters' covariance.
 
         It includes the parameters' offset beside smooth errors (see `ErrorModel`) unless there is a residual field, which corrects
         it.
         """
-        parts = np.array_split(conditions, range(PART_ROWS, conditions.shape[1], PART_ROWS), axis=1)
         covariance = self.errors.about_mean(self.covariance) if self.field else self.covariance
-        slopes = (self.model.point_jacobian(self.estimate, part) for part in parts)
+        slopes = (self.model.point_jacobian(self.estimate, *part) for part in _parts(conditions, places, PART_ROWS))
         return np.concatenate([np.maximum(of_parameters(slope, covariance), 0.0) for slope in slopes])
 
     def left_variance(self, conditions: np.ndarray) -> np.ndarray:
@@ -250,7 +236,7 @@ class CalibratedModel:
         """
         if self.field:
             return np.asarray(self.field.variance(self._readings(conditions))[:, None])
-        return self._variances((self.errors.slopes(*self._fitted, part) for part in _some(conditions)), METRE)[1]
+        return self._variances((self.errors.slopes(*self._fitted, *part) for part in _parts(conditions)), METRE)[1]
 
     def _variances(self, every: Iterable[np.ndarray], unit: MeasurementUnit) -> tuple[np.ndarray, np.ndarray]:
         """Return variances by parameters and smooth errors, and the part beyond the parameters', (n_rows, n_axes) [unit²].
@@ -290,7 +276,7 @@ class CalibratedModel:
         return self._rotation_variances(conditions)[1]
 
     def _rotation_variances(self, conditions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        slopes = (self.errors.slopes_of_rotations(*self._fitted, part) for part in _some(conditions))
+        slopes = (self.errors.slopes_of_rotations(*self._fitted, part) for part, _ in _parts(conditions))
         return self._variances(slopes, RADIAN)
 
     def untold_turns(self, conditions: np.ndarray) -> np.ndarray:
@@ -376,7 +362,7 @@ class CalibratedModel:
         """
         alone = replace(self, field=None)
         gained = [np.zeros(0, dtype=bool)]
-        for part in _some(conditions):
+        for part, _ in _parts(conditions):
             moved = self.model.point(self.model.nominal, part) - alone.expected_point(part)
             size = np.linalg.norm(moved, axis=1)
             along = (np.einsum("na,nak->nk", moved, alone.shared_errors(part)) ** 2).sum(axis=1)
@@ -391,9 +377,13 @@ def series_noise(noise: Noise) -> tuple[SeriesNoise, ...]:
     return tuple(SeriesNoise(size, source, size) for size, source in zip(typical, noise.sources, strict=True))
 
 
-def _some(conditions: np.ndarray) -> list[np.ndarray]:
-    """Return packed conditions in parts, so that memory does not grow with the rows."""
-    return np.array_split(conditions, range(ROWS, conditions.shape[1], ROWS), axis=1)
+def _parts(
+    conditions: np.ndarray, places: np.ndarray | None = None, rows: int = ROWS
+) -> Iterable[tuple[np.ndarray, np.ndarray | None]]:
+    """Return packed conditions in parts of some rows, each with its places, so that memory does not grow with the rows."""
+    ends = range(rows, conditions.shape[1], rows)
+    parts = np.array_split(conditions, ends, axis=1)
+    return zip(parts, [None] * len(parts) if places is None else np.array_split(places, ends), strict=True)
 
 
 @dataclass(frozen=True, eq=False)

@@ -119,11 +119,15 @@ class ErrorModel:
         alone = np.tensordot(slopes[:, :, slopes.shape[2] - len(self.sd) :], self.spread, 1)
         return np.concatenate([np.tensordot(slopes, self.root(self.about_mean(covariance)), 1), alone], axis=2)
 
-    def slopes(self, model: Model, estimate: np.ndarray, conditions: np.ndarray) -> np.ndarray:
-        """Return the derivatives of rows' positions by parameters and by amplitudes over sd, (n_rows, 3, n) [m]."""
-        return np.concatenate(
-            [model.point_jacobian(estimate, conditions), self.moved(model, estimate, conditions)], axis=2
-        )
+    def slopes(
+        self, model: Model, estimate: np.ndarray, conditions: np.ndarray, places: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Return the derivatives of rows' positions by parameters and by amplitudes over sd, (n_rows, 3, n) [m].
+
+        places are as for `Model.point`; the amplitudes move them as the markers.
+        """
+        by_parameters = model.point_jacobian(estimate, conditions, places)
+        return np.concatenate([by_parameters, self.moved(model, estimate, conditions)], axis=2)
 
     def slopes_of_values(
         self, model: Model, estimate: np.ndarray, data: Measurements, unit: MeasurementUnit

@@ -83,8 +83,8 @@ def scatter(error: np.ndarray, group: np.ndarray, session: np.ndarray | str = ""
 
     For normal scatter its sigma is the classical pooled estimate. Rows so far out that normal noise would show one in a hundred
     series only are left out, if gross errors explain them clearly better than heavy tails, which belong to the noise. Of two
-    repeats that contradict each other both are left out. A session (n_rows,) of which
-    all repeats scatter more has no gross errors for that.
+    repeats that contradict each other both are left out. A session (n_rows,) of which all repeats scatter more has no gross errors
+    for that.
     """
     n, axes = error.shape
     kept = np.ones(n, dtype=bool)

@@ -240,9 +240,8 @@ def move_mixture(independent: float) -> list[tuple[Move, float]]:
 
 def propose_student(u: np.ndarray, rng: np.random.RandomState) -> tuple[np.ndarray, np.ndarray]:
     """Return draws (n_walkers, n_dimensions) of a multivariate Student t of unit scale, and log Hastings ratios for emcee."""
-    degrees = (
-        2 * u.shape[1]
-    )  # heavier tails than a normal's; with fewer, radii in many dimensions would differ from its
+    # Heavier tails than a normal's; with fewer degrees of freedom, radii in many dimensions would differ from its.
+    degrees = 2 * u.shape[1]
     mixing = rng.chisquare(degrees, size=(len(u), 1)) / degrees
     proposed = rng.standard_normal(u.shape) / np.sqrt(mixing)
     student = scipy.stats.multivariate_t(shape=np.eye(u.shape[1]), df=degrees)
