@@ -28,7 +28,6 @@ TAILS = (2.5, 3.0, 4.0, 6.0, 10.0, 30.0)  # degrees of freedom of Student's t, t
 SHARES = (0.01, 0.02, 0.05, 0.1, 0.2)  # shares of rows with gross errors, in a mixture of two normals
 TIMES = (5.0, 10.0, 20.0, 40.0, 100.0)  # ratios of their standard deviation to that of the others
 CLEARLY = 5.0  # gain in log-likelihood by which gross errors must explain the scatter better than heavy tails
-MEDIAN_LENGTHS = np.array([np.nan, 0.6745, 1.1774, 1.5382])  # by number of standard normal components
 # Share of a usual device's noise: repeats that scatter less are one reading written twice, and no robot's residuals are smaller.
 LEAST_SCATTER = 1e-3
 MIN_REPEATS = 10  # degrees of freedom below which repeats determine the noise too poorly
@@ -40,13 +39,6 @@ GOLDEN = (5**0.5 - 1) / 2  # its multiples modulo 1 are equidistributed, and in 
 def members(group: np.ndarray) -> list[np.ndarray]:
     """Return the rows of each group, in their order; group (n_rows,) numbers them from 0 without gaps."""
     return np.split(np.argsort(group, kind="stable"), np.cumsum(np.bincount(group))[:-1])
-
-
-def median_length(number: np.ndarray | int) -> np.ndarray:
-    """Return the median length of vectors with the given number of standard normal components, shape as number."""
-    few = MEDIAN_LENGTHS[np.minimum(number, len(MEDIAN_LENGTHS) - 1)]
-    many = np.sqrt(2 * scipy.special.gammaincinv(np.maximum(number, 1) / 2, 0.5))
-    return np.asarray(np.where(np.asarray(number) < len(MEDIAN_LENGTHS), few, many))
 
 
 @dataclass(frozen=True, eq=False)

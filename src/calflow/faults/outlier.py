@@ -17,7 +17,7 @@ from calflow.estimation.accuracy import distances, leading_errors
 from calflow.estimation.fit import Fit, fit_reweighted
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.leverage import Studentised
-from calflow.estimation.noise import measured_noise, median_length
+from calflow.estimation.noise import measured_noise
 from calflow.estimation.registration import in_measuring_frame, registered
 from calflow.faults.base import Correction, Fault, correct, fault, faulty_rows
 from calflow.faults.mistake import LENGTH_UNITS
@@ -138,7 +138,8 @@ def gross_rows(data: Measurements, which: np.ndarray) -> tuple[Fault, ...]:
     for k in np.unique(data.series_number[which]):
         rows = which & data.of_series(int(k)) & (data.train | data.held_out)
         unit = observed[int(k)].units[0]
-        scale = float(np.median(far[rows]) / median_length(int((~np.isnan(miss[rows][0])).sum())))
+        axes = int((~np.isnan(miss[rows][0])).sum())
+        scale = float(np.median(far[rows]) / np.sqrt(scipy.special.chdtri(axes, 0.5)))
         least = LEAST_GROSS * unit.usual / METRE.usual
         limit = limit_of(far[rows], scale, max(GROSS * scale, least))
         gross = rows & (far > limit)
