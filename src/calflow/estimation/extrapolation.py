@@ -51,30 +51,29 @@ class Later(Wandering):
     any_time: float = 0.0
 
     def gone(self, row: Row) -> ca.SX:
-        """Return the standard deviation at a row: after a time it grows with the root of that time over the measurement's."""
-        if not row.time.nnz():
-            return ca.SX(self.any_time) if self.any_time else ca.SX(1, 1)
-        beyond = ca.fmax(0, ca.fmax(self.begin - row.time, row.time - self.end))
-        return self.change * ca.sqrt(self.diffusion(beyond) / ((self.end - self.begin) or 1.0))
-
-
-@dataclass(frozen=True)
-class InFurtherSession(Wandering):
-    """The shift of a device in sessions that were not measured, each of which it is placed anew for.
-
-    sessions: first and last time of those that were; change, any_time: its standard deviation at any other time, and at a row
-    without time, over the usual one.
-    """
-
-    sessions: tuple[tuple[float, float], ...] = ()
-    change: float = 1.0
-    any_time: float = 0.0
-
-    def gone(self, row: Row) -> ca.SX:
         """Return the standard deviation at a row."""
         if not row.time.nnz():
             return ca.SX(self.any_time) if self.any_time else ca.SX(1, 1)
-        return self.change * (1 - sum((within(row.time, session) for session in self.sessions), ca.SX(0)))
+        return self.change * self.grown(row.time)
+
+    def grown(self, at: ca.SX) -> ca.SX:
+        """Return the growth over `change`: after a time it is the root of that time over the measurement's."""
+        beyond = ca.fmax(0, ca.fmax(self.begin - at, at - self.end))
+        return ca.sqrt(self.diffusion(beyond) / ((self.end - self.begin) or 1.0))
+
+
+@dataclass(frozen=True)
+class InFurtherSession(Later):
+    """The shift of a device in sessions that were not measured, each of which it is placed anew for.
+
+    sessions: first and last time of those that were. Its change is the same at any other time.
+    """
+
+    sessions: tuple[tuple[float, float], ...] = ()
+
+    def grown(self, at: ca.SX) -> ca.SX:
+        """Return 1 outside those sessions."""
+        return 1 - sum((within(at, session) for session in self.sessions), ca.SX(0))
 
 
 @dataclass(frozen=True)
@@ -111,52 +110,49 @@ class Cooling(SmoothFunction):
 
 
 @dataclass(frozen=True)
-class BeyondTravel(JointError, SmoothFunction):
-    """A joint's error beyond the measured travel, low to high, as an independent curve with a standard deviation [rad].
+class Beyond(SmoothFunction):
+    """A joint's error beyond the measured travel, low to high, as independent curves of a correlation length [rad, or m].
 
-    Its waves have the frequencies of a Matern 5/2 process of a correlation length [rad], which follow a Student t distribution.
+    Their waves have the frequencies of a Matern 5/2 process of that length, which follow a Student t distribution.
     """
 
     joint: int = 0
     low: float = 0.0
     high: float = 0.0
     length: float = 1.0
-    size_beyond: float = SIZE
 
     @property
     def inputs(self) -> tuple[str, ...]:
         """The joint."""
         return (f"q{self.joint + 1}",)
 
-    def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
-        """Return its waves."""
-        if joint != self.joint:
-            return []
-        size, waves = (
-            self.size_beyond / BEYOND_WAVES**0.5,
-            _waves_beyond(state.q[joint], self.low, self.high, self.length),
-        )
-        return [Term(f"wave{k + 1}", self.unit(joint), size, 1.0, wave) for k, wave in enumerate(ca.vertsplit(waves))]
+    def waves(self, q: ca.SX) -> ca.SX:
+        """Return waves (n,) that reach full size a twentieth of the travel beyond its ends, where a measured curve fades."""
+        beyond = ca.fmax(self.low - q, 0) + ca.fmax(q - self.high, 0)
+        rates = scipy.stats.t(5).ppf((1 + np.arange(0.5, BEYOND_WAVES) / BEYOND_WAVES) / 2) / self.length
+        angle = ca.DM(rates) * q
+        return ca.fmin(beyond / (FADE * (self.high - self.low)), 1) * ca.vertcat(ca.cos(angle), ca.sin(angle))
 
 
 @dataclass(frozen=True)
-class BeyondRail(SmoothFunction):
-    """A carriage's error beyond the ends of its rail's curves, low to high [m], as independent curves along and about three axes.
+class BeyondTravel(JointError, Beyond):
+    """The error of a joint's angle, with a standard deviation [rad]."""
 
-    length [m] is their correlation length, shift [m] and turn [rad] their standard deviations per axis.
-    """
+    size_beyond: float = SIZE
 
-    joint: int = 0
-    low: float = 0.0
-    high: float = 0.0
-    length: float = 1.0
+    def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
+        """Return its waves."""
+        waves = ca.vertsplit(self.waves(state.q[joint])) if joint == self.joint else []
+        size = self.size_beyond / BEYOND_WAVES**0.5
+        return [Term(f"wave{k + 1}", self.unit(joint), size, 1.0, wave) for k, wave in enumerate(waves)]
+
+
+@dataclass(frozen=True)
+class BeyondRail(Beyond):
+    """A carriage's errors along and about three axes; shift [m] and turn [rad] are their standard deviations per axis."""
+
     shift: float = SIZE
     turn: float = 0.0
-
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """The joint."""
-        return (f"q{self.joint + 1}",)
 
     @property
     def spectrum(self) -> np.ndarray:
@@ -171,19 +167,11 @@ class BeyondRail(SmoothFunction):
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
         """Return the deflection with the carriage displaced."""
-        waves = _waves_beyond(state.q[self.joint], self.low, self.high, self.length)
+        waves = self.waves(state.q[self.joint])
         bearing = ca.SX(still.bearing)
         off = ca.reshape(p, waves.numel(), p.numel() // waves.numel()).T @ waves
         bearing[: off.numel(), self.joint] = about_carriage(self.robot, self.joint, off, state)
         return replace(still, bearing=bearing)
-
-
-def _waves_beyond(q: ca.SX, low: float, high: float, length: float) -> ca.SX:
-    """Return waves (n,) that reach full size a twentieth of the travel beyond its ends, where a measured curve fades."""
-    beyond = ca.fmax(low - q, 0) + ca.fmax(q - high, 0)
-    rates = scipy.stats.t(5).ppf((1 + np.arange(0.5, BEYOND_WAVES) / BEYOND_WAVES) / 2) / length
-    angle = ca.DM(rates) * q
-    return ca.fmin(beyond / (FADE * (high - low)), 1) * ca.vertcat(ca.cos(angle), ca.sin(angle))
 
 
 @dataclass(frozen=True, eq=False)
@@ -279,17 +267,17 @@ def beyond_measured(errors: ErrorModel, sizes: SmoothVariances, variance: np.nda
     walks = _wandered(sizes, causes) if causes else left
     for of, walk in walks.items():
         functions: list[SmoothFunction]
+        share = 1.0
         if by_order:
             # With causes twice the variance: their drift, extrapolated to other rows, and the drift there are independent.
             functions, share = [*in_time(data, of)], walk * (np.sqrt(2) if causes else 1.0)
         elif anew and of == Wandering.of:
-            times = data.table["time"].groupby(data.session).agg(["min", "max"]).to_numpy().tolist()
-            sessions = tuple((begin, end) for begin, end in times)
-            anywhere = InFurtherSession(data.robot, of, sessions=sessions, change=walk, any_time=left[of])
-            functions, share = [anywhere], 1.0
+            spans = data.table["time"].groupby(data.session).agg(["min", "max"])
+            sessions = tuple(spans.itertuples(index=False, name=None))
+            functions = [InFurtherSession(data.robot, of, change=walk, any_time=left[of], sessions=sessions)]
         else:
-            later = Later(data.robot, of, begin=begin, end=end, any_time=left[of])
-            functions, share = [replace(later, change=float(later.change_in(end - begin) * walk))], 1.0
+            change = walk * Wandering(data.robot, of).change_in(end - begin)
+            functions = [Later(data.robot, of, begin=begin, end=end, change=change, any_time=left[of])]
         # Functions of zero variance would only cost time at every predicted row.
         if walk or left[of]:
             errors = errors.with_functions(functions, share * usual_sizes(result.model, functions))
