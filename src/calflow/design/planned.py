@@ -62,9 +62,8 @@ class Planned:
 
         The model's observations hold the planned one.
         """
-        reported = self.observation.expected(model.point(p, conditions), model.rotation(p, conditions))
-        jacobian = model.observed_jacobian(self.observation, p, conditions, reported)
-        return jacobian / self.sd[:, None]
+        (block,) = self.problem(model, p, conditions).blocks
+        return block.linearised(p)[1]
 
     def problem(self, model: Model, p: np.ndarray, conditions: np.ndarray) -> LeastSquares:
         """Return the least squares problem of packed conditions (n_conditions, n_rows) with the predictions at p.
