@@ -264,10 +264,9 @@ def next_step(
     ]
     drawn = task_error(fitted, causes, by_cause, at_task, asked.measure, rng("task error"))
     lacking = findings(diagnosis, identified, data, as_table((), data), rng("resamples"))
-    verdict = replace(
-        _verdict(data, fitted, *drawn, asked, confidence),
-        found=tuple(finding.statement for finding in lacking), suspected=_suspects(rivals, fitted, causes),
-        untested=tuple(sorted(catalogue.lacking)),
+    verdict = _verdict(
+        data, fitted, *drawn, asked, confidence, tuple(finding.statement for finding in lacking),
+        _suspects(rivals, fitted, causes), tuple(sorted(catalogue.lacking)),
     )  # fmt: skip
     calibrated = extended_model(diagnosis, identified, data)
     if verdict.status == "stop":
@@ -283,7 +282,8 @@ def next_step(
 
 
 def _verdict(
-    data: Measurements, fitted: Fitted, error: np.ndarray, at_best: np.ndarray, asked: SelectionRequest, confidence: float
+    data: Measurements, fitted: Fitted, error: np.ndarray, at_best: np.ndarray, asked: SelectionRequest, confidence: float,
+    found: tuple[str, ...], suspected: tuple[Suspect, ...], untested: tuple[str, ...],
 ) -> MeasuringVerdict:  # fmt: skip
     """Return the verdict by draws (n_draws,) of the tool's error, and of that with all parameters known."""
     tolerance = asked.tolerance
@@ -301,7 +301,8 @@ def _verdict(
         error_most_mm=in_mm(float(np.quantile(error, confidence))),
         heldout_rms_mm=in_mm(float(np.sqrt((outside**2).mean()))) if len(outside) else None,
         leftout_rms_mm=in_mm(fitted.left_out.rms), elsewhere_mm=in_mm(float(fitted.left_out.excess())),
-        noise_mm=in_mm(fitted.noise.typical(METRE)) or None, noise_known=fitted.noise.known, notes=data.notes,
+        noise_mm=in_mm(fitted.noise.typical(METRE)) or None, noise_known=fitted.noise.known, found=found,
+        suspected=suspected, untested=untested, notes=data.notes,
     )  # fmt: skip
 
 
