@@ -63,7 +63,7 @@ def _stiff(found: Fit, seed: int) -> np.ndarray:
 
 
 def _compared(name: str, found: Fit, seed: int) -> list[dict[str, object]]:
-    posterior = LogPosterior.about(found.problem, Laplace.of(found.problem, found.estimate, found.at_bound))
+    posterior = LogPosterior.about(found.problem, Laplace.of(found.problem, found.estimate))
     n, active = posterior.n_dimensions, int(found.at_bound.sum())
     start = np.random.default_rng(seed).standard_normal((2 * n, n))
     print(

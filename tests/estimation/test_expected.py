@@ -61,7 +61,7 @@ def test_the_posterior_is_about_what_is_expected():
     model = build(robot, EFFECTS)
     own = problem(model, measured(model, means, 40, np.random.default_rng(4)))
     result, _ = fit(own)
-    posterior = LogPosterior.about(own, Laplace.of(own, result.estimate, result.at_bound))
+    posterior = LogPosterior.about(own, Laplace.of(own, result.estimate))
     at = np.zeros((1, posterior.n_dimensions))
     prior = posterior.densities(at)[1]
     values = posterior.parameters(at)[0]

@@ -75,7 +75,7 @@ def studentised(data: Measurements, result: Fit) -> tuple[np.ndarray, ...]:
 
 
 def squares(data: Measurements, result: Fit) -> tuple[np.ndarray, ...]:
-    posterior = LogPosterior.about(result.problem, Laplace.of(result.problem, result.estimate, result.at_bound))
+    posterior = LogPosterior.about(result.problem, Laplace.of(result.problem, result.estimate))
     near = result.estimate + 0.1 * result.model.prior_sd * np.array([[0.0], [1e-3], [2e-3]])
     return (posterior.squares(near.T),)
 

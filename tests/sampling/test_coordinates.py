@@ -128,7 +128,7 @@ def test_springs_that_do_not_give_way_are_sampled_as_integrated():
     model = build(arm, ("joint-compliance",))
     given = problem(model, measured(model, np.zeros(3), 12, rng, sigma=SIGMA))
     found, _ = fit(given)
-    posterior = LogPosterior.about(given, Laplace.of(given, found.estimate, found.at_bound))
+    posterior = LogPosterior.about(given, Laplace.of(given, found.estimate))
     assert posterior.coordinates.n_cut == 3  # the first turns about an upright axis: its prior alone
 
     def log_density(x):

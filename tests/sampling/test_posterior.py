@@ -50,7 +50,7 @@ def posterior():
     model = build(industrial(), ("geometry", "joint-compliance"))
     given = problem(model, measured(model, drawn_truth(model, rng), 50, rng))
     result, _ = fit(given)
-    return LogPosterior.about(given, Laplace.of(given, result.estimate, result.at_bound))
+    return LogPosterior.about(given, Laplace.of(given, result.estimate))
 
 
 def test_log_probability_is_the_models(posterior):

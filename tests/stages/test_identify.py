@@ -45,7 +45,7 @@ def test_a_robust_fit_stays_robust(model):
     probe = measured(model, truth, 50, rng, sigma=0.0)
     assert np.linalg.norm(model.position(result.estimate, probe.conditions) - probe.position, axis=1).mean() < 2 * SIGMA
     weighed = LeastSquares.of(model, data, level).reweighted(result.estimate, "cauchy")
-    sampled = Laplace.of(weighed, result.estimate, result.at_bound)
+    sampled = Laplace.of(weighed, result.estimate)
     assert sampled.variance < 2
     again, _ = fit(weighed)
     assert np.linalg.norm(model.position(again.estimate, probe.conditions) - probe.position, axis=1).mean() < 2 * SIGMA

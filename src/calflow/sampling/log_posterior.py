@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 Squares = Callable[[np.ndarray], np.ndarray]
 NEAR_BOUND = 5.0  # distance from a bound, in standard deviations of the fit, within which a parameter is transformed
 LOG_NOISE_SD = 1.0  # prior sd of the log of the noise level: a factor e either way
-VARIANCE_PASSES = 3  # iterations of noise level and effective number of parameters, which depend on each other weakly
 EXPECTED_EVALUATIONS = 10_000  # per row: sampling always pays for compiling
 
 
@@ -112,22 +111,19 @@ class Laplace:
     variance: float
 
     @staticmethod
-    def of(problem: LeastSquares, estimate: np.ndarray, at_bound: np.ndarray) -> Laplace:
+    def of(problem: LeastSquares, estimate: np.ndarray) -> Laplace:
         """Return the approximation of a problem's posterior about its estimate, the noise level from the residuals."""
-        prior_sd = problem.model.prior_sd
-        there = Fit.at(problem, estimate)
-        pull = (estimate - problem.model.prior_mean) / prior_sd
-        of_data, free = there.information * np.outer(prior_sd, prior_sd) - np.eye(len(estimate)), ~at_bound
-        chi2, variance = 2 * there.objective - pull @ pull, 1.0
-        for _ in range(VARIANCE_PASSES):
-            information = of_data / variance + np.eye(len(estimate))
-            inverse = np.linalg.inv(information[np.ix_(free, free)])
-            determined = len(inverse) - np.trace(inverse)
-            variance = float(chi2 / max(1.0, problem.size - determined))
-        sd = np.zeros(len(estimate))
-        sd[free] = np.sqrt(np.diag(inverse)) * prior_sd[free]
-        covariance = np.linalg.inv(information) * np.outer(prior_sd, prior_sd)
+        there, prior_sd = Fit.at(problem, estimate), problem.model.prior_sd
+        pull, prior, scale = (
+            (estimate - problem.model.prior_mean) / prior_sd,
+            prior_sd**-2.0,
+            np.outer(prior_sd, prior_sd),
+        )
+        variance = float((2 * there.objective - pull @ pull) / max(1.0, problem.size - there.effective_parameters))
+        at_level = replace(there, information=np.diag(prior) + (there.information - np.diag(prior)) / variance)
+        covariance = np.linalg.inv(at_level.information * scale) * scale
         gradient = ((there.gradient * prior_sd - pull) / variance + pull) / prior_sd
+        sd = np.sqrt(np.diag(at_level.covariance))
         return Laplace(estimate, estimate - covariance @ gradient, covariance, sd, variance)
 
     def beside_smooth_errors(self, covariance: np.ndarray) -> Laplace:
@@ -274,7 +270,7 @@ def log_posterior_of(calibrated: CalibratedModel, data: Measurements) -> tuple[L
     """
     means = averaged(data.only(data.train), calibrated.noise(data).only(data.train))
     problem = LeastSquares.of(calibrated.model, *means).reweighted(calibrated.estimate, calibrated.loss)
-    laplace = Laplace.of(problem, calibrated.estimate, calibrated.at_bound)
+    laplace = Laplace.of(problem, calibrated.estimate)
     if not calibrated.errors.functions:
         return LogPosterior.about(problem, laplace), laplace
     laplace = laplace.beside_smooth_errors(calibrated.covariance)
