@@ -124,7 +124,7 @@ def test_a_turn_is_as_sure_as_parameters_and_functions_together():
         found = fit_effects(data, ("geometry",), starts=1)
         known, conditions = found.known, found.data.conditions
         off = turned.swapaxes(1, 2) @ known.model.rotation(known.estimate, conditions)
-        sd = np.sqrt(known.rotation_variance(conditions))
+        sd = np.sqrt(known.rotation_variances(conditions)[0])
         away.append((Rotation.from_matrix(off).as_rotvec() / sd)[there])
     off = np.concatenate(away)
     assert (np.abs(off) < 1.96).mean() > 0.9

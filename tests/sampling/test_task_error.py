@@ -66,7 +66,7 @@ def test_draws_and_the_fits_covariance_agree(calibrations):
         expected = np.sqrt(known.position_variance(task.conditions))
         np.testing.assert_allclose(found.sd[0], expected, rtol=0.25)
         np.testing.assert_allclose(
-            np.median(found.sd[1] / np.sqrt(known.rotation_variance(task.conditions))), 1.0, atol=0.15
+            np.median(found.sd[1] / np.sqrt(known.rotation_variances(task.conditions)[0])), 1.0, atol=0.15
         )
 
 

@@ -86,7 +86,7 @@ def not_known(calibrated: CalibratedModel, conditions: np.ndarray) -> list[str]:
     if any(isinstance(observation, Pose) for observation in calibrated.model.observations):
         return []
     few = conditions[:, np.unique(np.linspace(0, conditions.shape[1] - 1, UNTOLD_ROWS).astype(int))]
-    typical = np.sqrt(calibrated.rotation_variance(few).mean(axis=0))
+    typical = np.sqrt(calibrated.rotation_variances(few)[0].mean(axis=0))
     robot = calibrated.model.robot
     turned = "turned by tool_rotation_deg of the robot file" if robot.tool_rotation else "as it is"
     problems = [
@@ -348,7 +348,7 @@ def _judged(
     return Compensation(
         landed.readings, remaining, turned, landed.reached,
         np.sqrt(variance + stated.widened),
-        np.sqrt(calibrated.rotation_variance(data.conditions)) if oriented else None,
+        np.sqrt(calibrated.rotation_variances(data.conditions)[0]) if oriented else None,
         start, nominal_miss, nominal_turned, clear, data, tuple(notes),
         calibrated.field_correction(data.conditions) if calibrated.field else None,
     )  # fmt: skip

@@ -263,19 +263,12 @@ class CalibratedModel:
         """Return the joint readings (n_rows, n_joints) of packed conditions."""
         return np.asarray(conditions[: self.model.robot.n_joints].T)
 
-    def rotation_variance(self, conditions: np.ndarray) -> np.ndarray:
+    def rotation_variances(self, conditions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the predictive variance of each row's orientation about the tool's axes, shape (n_rows, 3) [rad²].
 
-        It is by parameters and smooth errors, as that of positions. Rotations that the data do not determine have the variance of
-        their priors (see `untold_turns`).
+        It is by parameters and smooth errors, as that of positions; the second is its part beyond the parameters' (see
+        `left_variance`). Rotations that the data do not determine have the variance of their priors (see `untold_turns`).
         """
-        return self._rotation_variances(conditions)[0]
-
-    def left_rotation_variance(self, conditions: np.ndarray) -> np.ndarray:
-        """Return the part of it beyond that by the parameters, as `left_variance` that of positions."""
-        return self._rotation_variances(conditions)[1]
-
-    def _rotation_variances(self, conditions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         slopes = (self.errors.slopes_of_rotations(*self._fitted, part) for part, _ in _parts(conditions))
         return self._variances(slopes, RADIAN)
 

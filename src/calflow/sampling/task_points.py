@@ -120,7 +120,7 @@ def point_errors(
     turn = errors(
         _turn_from(calibrated, conditions),
         Model.rotation_jacobian,
-        factor * calibrated.left_rotation_variance(conditions),
+        factor * calibrated.rotation_variances(conditions)[1],
     )
     return PointErrors(*map(np.stack, zip(position, turn, strict=True)))
 
