@@ -23,9 +23,6 @@ from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 
 AT_BOUND = 0.05  # posterior standard deviations: an estimate closer to a bound was stopped by IPOPT's barrier
-# IPOPT's line search tolerates ten round-off errors of the objective. Residuals are micrometres obtained as differences of metres,
-# whose round-off error is larger: this constant, added to the scaled objective, raises IPOPT's tolerance to match.
-ROUND_OFF = 1e4
 TOLERANCE = 1e-6  # IPOPT's, of the scaled objective
 # Starts are near the optimum and seldom near a bound: the barrier parameter starts at the lowest value the tolerance lets it reach,
 # with multipliers to match, which halves the iterations.
@@ -199,7 +196,7 @@ def _solver(problem: LeastSquares, loss: Loss) -> tuple[ca.Function, Callable[[b
     The callbacks must live as long as the solver does.
     """
     n, sd = len(problem.model.parameters), problem.model.prior_sd
-    bounds, scale, size = problem.model.bounds.T / sd, problem.scale, problem.size
+    bounds, scale, size = problem.model.bounds.T / sd, problem.n_rows, problem.size
 
     @lru_cache(maxsize=2)
     def at(point: bytes) -> Fit:
@@ -217,7 +214,7 @@ def _solver(problem: LeastSquares, loss: Loss) -> tuple[ca.Function, Callable[[b
         return [bool(gain < SETTLED * misfit and (np.abs(pushed) * room).max() < SAME_OPTIMUM)]
 
     def value(x: np.ndarray) -> float:
-        return at(x.tobytes()).objective / scale + ROUND_OFF
+        return at(x.tobytes()).objective / scale
 
     point, scalar, upper = {"x": n, "p": 0}, ca.Sparsity.dense(1, 1), np.tril_indices(n)
     nlp = _Callback("nlp", point, {"f": scalar, "g": ca.Sparsity(0, 1)}, lambda x, p: (value(x), ()))

@@ -24,9 +24,6 @@ from calflow.observations import Observation
 
 LINEARISED_ROWS = 4096  # rows whose Jacobian is evaluated at once
 EXPECTED_PASSES = 20  # evaluations of all rows in a typical fit
-# Share of a usual device's noise: below it round-off limits the fit, whose tolerance is then no tighter than at this noise.
-FINEST = 0.1
-
 
 Loss = Literal["linear", "soft_l1", "cauchy"]
 
@@ -64,12 +61,6 @@ class SeriesBlock:
     def leading(self) -> MeasurementUnit:
         """The first unit of the observation's residuals."""
         return self.observation.units[0]
-
-    @property
-    def spread(self) -> np.ndarray:
-        """Root mean square of total over a row's first residuals in the leading unit, at most three, shape (n_rows,)."""
-        first = [unit == self.leading for unit in self.observation.units]
-        return np.asarray(np.sqrt((self.total[first][:3] ** 2).mean(axis=0)))
 
     @property
     def n_units(self) -> int:
@@ -275,12 +266,6 @@ class LeastSquares:
         every = (of(block)[[other == unit for other in block.observation.units]] for block in self.blocks)
         sizes = np.concatenate([np.zeros(0), *(rows.ravel() for rows in every)])
         return float(np.mean(sizes**-2.0) ** -0.5) if len(sizes) else 0.0
-
-    @property
-    def scale(self) -> float:
-        """Divisor of the objective, so that the same tolerance serves all data: number of rows, more with noise below FINEST."""
-        relative = np.median(np.concatenate([block.spread / block.leading.usual for block in self.blocks]))
-        return self.n_rows * max(1.0, FINEST / float(relative)) ** 2
 
     def parts(self) -> Iterator[SeriesBlock]:
         """Yield the rows of all series, part by part (see `SeriesBlock.parts`)."""
