@@ -143,12 +143,13 @@ class TallMatrix:
 
     def products(self, columns: np.ndarray) -> np.ndarray:
         """Return the Gram matrix of some columns, (n_own, n_own)."""
-        parts = (x[:, columns] for _, x in self.blocks())
+        kept = side_by_side(columns)
+        parts = (x[:, kept] for _, x in self.blocks())
         return reduce(np.add, (part.T @ part for part in parts))
 
     def response(self, columns: np.ndarray) -> np.ndarray:
         """Return the products of all columns with some, (n_columns, n_own)."""
-        return reduce(np.add, (x.T @ x[:, columns] for _, x in self.blocks()))
+        return reduce(np.add, (x.T @ x[:, side_by_side(columns)] for _, x in self.blocks()))
 
     def times(self, amplitudes: np.ndarray) -> np.ndarray:
         """Return the matrix times amplitudes (n_columns, …)."""

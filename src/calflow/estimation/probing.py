@@ -169,7 +169,9 @@ class Probe:
                         moved = np.take(levers, basis.quantity, axis=2)
                         moved *= over_rows(basis.function, np.zeros(0), state[0], part.conditions)[0].T[:, None]
                         first = np.flatnonzero(np.diff(basis.column, prepend=-1))
-                        slopes[:, :, n + basis.column[first]] = np.add.reduceat(moved, first, axis=2)
+                        if len(first) < len(basis.column):  # else the sums are of one each
+                            moved = np.add.reduceat(moved, first, axis=2)
+                        slopes[:, :, n + basis.column[first]] = moved
                     slopes[:, :, n + foreign] = 0.0
                 rows, start = slice(start, start + left.size), start + left.size
                 yield rows, part.decorrelated(left.T).ravel(), part.decorrelated(slopes).reshape(-1, self.shape[1])
