@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import scipy
@@ -58,39 +59,45 @@ def pose_blocks(fitted: Fitted) -> list[np.ndarray]:
 class LeftOutBlock:
     """A block of residuals (n_own,), predicted by a model fitted to the others; it follows from the fit to all.
 
-    Parameters are in coordinates in which the information of all residuals and priors is one. root (n_free, n_own): of the
-    predictions' covariance by the fit to all; residual (n_own,): by that fit; others: Cholesky factor of the information of the
-    other blocks and the priors; change (n_free,): of the parameters where this block is left out.
+    Parameters are in coordinates in which the information of all residuals and priors is one. root R (n_free, n_own): of the
+    predictions' covariance RᵀR by the fit to all; residual (n_own,): by that fit; factor: Cholesky factor of I - RᵀR, or of I - RRᵀ
+    where that is smaller, the information of the other blocks and the priors.
     """
 
     root: np.ndarray
     residual: np.ndarray
-    others: tuple[np.ndarray, bool]
-    change: np.ndarray
+    factor: tuple[np.ndarray, bool]
 
     @staticmethod
     def each(model: Screening[Cause], block: np.ndarray) -> list[LeftOutBlock]:
         """Return the blocks of residuals numbered by block (n,)."""
         blocks = []
         for rows in (np.flatnonzero(block == number) for number in np.unique(block)):
-            root, residual = model.prediction_root[:, rows], model.settled_residual[rows]
-            others = scipy.linalg.cho_factor((1 + LEAST_TOLD) * np.eye(len(root)) - root @ root.T, lower=True)
-            blocks.append(LeftOutBlock(root, residual, others, scipy.linalg.cho_solve(others, root @ residual)))
+            root = model.prediction_root[:, rows]
+            told = root @ root.T if len(root) < len(rows) else root.T @ root
+            factor = scipy.linalg.cho_factor((1 + LEAST_TOLD) * np.eye(len(told)) - told, lower=True)
+            blocks.append(LeftOutBlock(root, model.settled_residual[rows], factor))
         return blocks
 
-    @property
+    def predicted(self, values: np.ndarray) -> np.ndarray:
+        """Return (I - RᵀR)⁻¹ times values (n_own, …): errors of the fit to all as errors of predictions (Woodbury 1950)."""
+        if len(self.factor[0]) == len(values):
+            return np.asarray(scipy.linalg.cho_solve(self.factor, values))
+        return np.asarray(values + self.root.T @ scipy.linalg.cho_solve(self.factor, self.root @ values))
+
+    @cached_property
     def error(self) -> np.ndarray:
         """The whitened prediction errors (n_own,)."""
-        return np.asarray(self.residual + self.root.T @ self.change)
+        return self.predicted(self.residual)
 
     def without(self, along: np.ndarray, value: np.ndarray) -> np.ndarray:
         """Return the errors (n_own,) of the model without some parameters of these estimates by the fit to all, value (n,).
 
         along (n_free, n) is a root of their covariance.
         """
-        told = scipy.linalg.cho_solve(self.others, along)
-        estimate = value + along.T @ self.change
-        return self.error - self.root.T @ (told @ np.linalg.solve(along.T @ told, estimate))
+        moved = self.root.T @ along
+        told, estimate = self.predicted(moved), value + moved.T @ self.error
+        return self.error - told @ np.linalg.solve(along.T @ along + moved.T @ told, estimate)
 
 
 def carried_over(
