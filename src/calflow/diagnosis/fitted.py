@@ -74,7 +74,7 @@ class Fitted:
     @cached_property
     def alone(self) -> Regressors[Cause]:
         """The model linearised without further effects, with independent errors; cached, as many tests use it."""
-        return replace(self, background=None, shared=self.intraclass).regressors(())
+        return Regressors.of(self.fit, self.problem, (), self.poses)
 
     @property
     def scale(self) -> float:

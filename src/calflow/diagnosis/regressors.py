@@ -107,8 +107,8 @@ def principal(modes: np.ndarray, parts: Sequence[np.ndarray]) -> np.ndarray:
         modes: orthonormal directions of the whitened residuals (n, n_modes).
         parts: effects of each part's functions along them, (n_modes, n_waves), over the noise's standard deviation.
     """
-    left, value, _ = np.linalg.svd(np.hstack(parts), full_matrices=False)
-    return np.asarray(modes @ (left * value)[:, value**2 > SMALL_MODE])
+    variance, axes = np.linalg.eigh(sum(part @ part.T for part in parts))
+    return np.asarray(modes @ (axes * np.sqrt(np.maximum(variance, 0.0)))[:, variance > SMALL_MODE])
 
 
 Rows = slice | np.ndarray
@@ -201,6 +201,17 @@ class RegressorProducts:
         kept = side_by_side(columns)
         return replace(self, mixed=self.mixed[:, kept], own=self.own[kept], left=self.left[kept])
 
+    def with_parameters(self, regressors: Regressors, columns: np.ndarray) -> RegressorProducts:
+        """Return the products with further free parameters, by their columns (n, n_more), of the regressors that these are of."""
+        more = RegressorProducts.of(replace(regressors, jacobian=columns, candidates=()))
+        both = regressors.jacobian.T @ columns
+        return replace(
+            self,
+            fitted=np.block([[self.fitted, both], [both.T, more.fitted]]),
+            mixed=np.vstack([self.mixed, more.mixed]),
+            fitted_left=np.append(self.fitted_left, more.fitted_left),
+        )
+
     def without(self, gone: np.ndarray, value: np.ndarray) -> RegressorProducts:
         """Return the products with some free parameters (by index) removed, whose estimates are value."""
         keep = np.setdiff1d(np.arange(len(self.fitted)), gone)
@@ -249,7 +260,7 @@ class Regressors(Generic[H]):
             jacobian=np.hstack([self.jacobian, columns]),
             precision=np.append(self.precision, precision),
             pull=np.append(self.pull, np.zeros(len(precision))),
-            added_up=None,
+            added_up=self.added_up and self.added_up.with_parameters(self, columns),
         )
 
     @staticmethod

@@ -23,7 +23,7 @@ from calflow.robot.mechanism import Deflection, Dimensions, Loads, Row, State, n
 from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
 
-ROWS = 256  # rows whose columns are evaluated at once
+ROWS = 128  # rows whose columns are evaluated at once
 
 Parts = TypeVar("Parts")  # a quantity, or a data class or tuple of such
 
