@@ -31,6 +31,7 @@ from calflow.estimation.identifiability import Statement
 from calflow.estimation.lack_of_fit import NoiseDoubt
 from calflow.estimation.model_tables import Extrapolation, FitSummary, IdentifySummary, Placed, Solver
 from calflow.files.tables import Results, to_document, to_frame
+from calflow.observations.base import UNKNOWN_SIZE_SD
 from calflow.reporting import advice as ranked
 from calflow.reporting import document
 from calflow.reporting.advice import RULES, advice, after_drift, after_validation
@@ -284,6 +285,10 @@ SPEAKS: list[tuple[Rule, Mapping[str, object], int, str]] = [
     (ranked.unlike_expected,
      {"identify/parameters.csv": parameter_table(estimate=2e-3, prior_mean=3e-4, prior_sd=2e-4, meaning="zero of joint 4")}, 2,
      "contradict what robot file or study expects of zero of joint 4"),
+    (ranked.size_unlike_stated,
+     {"identify/parameters.csv": parameter_table(parameter="target.scale", effect="camera", symbol="scale", estimate=-0.0197,
+                                                 sd=0.0032, prior_sd=UNKNOWN_SIZE_SD)}, 2,
+     "The board is 2 % smaller than stated (± 0.3 %)"),
     (ranked.board_as_stated, {"identify/in_space.csv": in_space(0.2, 0.3, 0.4)}, 3, "and no image shows that. Measure it"),
     (ranked.second_marker, {"identify/identifiability.csv": statements(("trade", "joint6.d;E.z")),
       "identify/parameters.csv": of_parts(joint6_d="joint6", E_z="E")}, 3, "joint6.d from"),
@@ -462,6 +467,9 @@ def test_every_rule_is_tested() -> None:
         (ranked.mistaken_figures, {"identify/parameters.csv": parameter_table(estimate=0.022, sd=0.015)}),
         (ranked.unlike_expected, {"identify/parameters.csv": parameter_table(estimate=9e-4, prior_mean=3e-4, prior_sd=2e-4)}),
         (ranked.unlike_expected, {"identify/parameters.csv": parameter_table(estimate=9e-3, prior_sd=1e-4)}),  # nobody stated it
+        (ranked.size_unlike_stated,
+         {"identify/parameters.csv": parameter_table(parameter="target.scale", effect="camera", symbol="scale",
+                                                     estimate=-4e-4, prior_sd=5e-4)}),
         (ranked.board_as_stated,
          {"identify/in_space.csv": in_space(0.2, 0.3, 0.4),
           "identify/parameters.csv": parameter_table(parameter="target.scale", effect="camera", symbol="scale")}),

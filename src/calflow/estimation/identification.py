@@ -8,6 +8,7 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+import scipy
 from threadpoolctl import threadpool_limits
 
 from calflow.effects import Effect, effect_ids
@@ -31,7 +32,11 @@ from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, build, stated
 from calflow.observations import observations
+from calflow.observations.base import USUAL_SIZE_SD
 
+SIZE_ALARM = (
+    1e-3  # probability of doubting the stated size of a board or plate because of lengths in proportion by chance
+)
 EQUILIBRIUM_ROWS = 2000  # rows at which the static equilibrium is checked
 
 
@@ -155,7 +160,7 @@ def fit_effects(
         name = " + ".join(effect_ids(effects[:k]))
         say(f"{name}: {len(model.parameters)} parameters, {len(train)} rows")
         if k == len(effects):
-            model = without_mistaken(model, part, noise_of_part, say)
+            model = without_mistaken(without_wrong_size(model, part, noise_of_part, say), part, noise_of_part, say)
         points = draw_starts(model, starts, rng("starts"))
         result, reweighted, lack, agree = fit_sharing(model, part, noise_of_part, points, loss)
         if k == len(effects):
@@ -194,6 +199,44 @@ def too_few_equations(model: Model, train: Measurements) -> str:
     wanted = -(-unknown * poses // equations)
     return (f"{equations} equations ({poses} training poses) for {unknown} parameters: measure at least "
             f"{wanted} training poses, better twice as many")  # fmt: skip
+
+
+def without_wrong_size(model: Model, train: Measurements, noise: Noise, say: Say = nobody) -> Model:
+    """Return the model in which the size of boards and plates counts as unknown, if the robot's lengths contradict it.
+
+    What is smaller than stated makes all lengths too long by the same share. Lengths of a robot do not err so: their errors, in
+    standard deviations, must fall by more than those of lengths that err independently would (F test), and by more than the
+    wider prior of the size costs.
+    """
+    observed = tuple(one.of_unknown_size() for one in model.observations)
+    if observed == model.observations:
+        return model
+    other = build(model.robot, model.effects, model.given, observed)
+    stated = {parameter.name: parameter.prior_sd for parameter in model.parameters}
+    costs = 2 * sum(np.log(p.prior_sd / stated.get(p.name, USUAL_SIZE_SD)) for p in other.parameters)
+    some = representative(train, START_ROWS)
+    before, error, weight = _lengths(fit(LeastSquares.of(model, train.only(some), noise.only(some)))[0])
+    if (error**2).sum() < costs:
+        return model
+    after, error_after, _ = _lengths(fit(LeastSquares.of(other, train.only(some), noise.only(some)))[0])
+    left, freedom = (error_after**2).sum(), weight.sum() - 1
+    falls = (error**2).sum() - left
+    if (
+        2 * (before.objective - after.objective) < costs
+        or scipy.stats.f.sf(falls / left * freedom, 1, freedom) > SIZE_ALARM
+    ):
+        return model
+    say("all lengths are off by the same share: the stated size of what was measured counts as unknown")
+    return other
+
+
+def _lengths(result: Fit) -> tuple[Fit, np.ndarray, np.ndarray]:
+    """Return a fit, its errors of the robot's lengths in standard deviations, and the share of each that the data determine."""
+    model = result.model
+    own = [k for k, p in enumerate(model.parameters) if p.effect == Geometry.id and p.joint and p.unit == "m"]
+    error = (result.estimate - model.prior_mean) / model.prior_sd
+    share = 1 - np.diag(result.covariance) / model.prior_sd**2
+    return result, error[own], share[own]
 
 
 def without_mistaken(model: Model, train: Measurements, noise: Noise, say: Say = nobody) -> Model:

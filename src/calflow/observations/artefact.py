@@ -14,13 +14,12 @@ from calflow.files.toml import Angles3, FileModel, Lengths3, Unit
 from calflow.files.units import METRE
 from calflow.measurements.rows import Reported
 from calflow.measurements.series import Series
-from calflow.observations.base import Seen
+from calflow.observations.base import FURTHEST, Seen
 from calflow.observations.touched import Touched
 from calflow.robot.frames import angles, placement_matrix
 from calflow.robot.parts import Parameter
 
 POINT = ("px_x", "px_y", "px_z")
-FURTHEST = 20.0  # standard deviations of its scale
 
 
 class ArtefactSettings(FileModel):
@@ -48,6 +47,7 @@ class Artefact(Touched):
     columns = Reported({}, {}, ("placement",), within=dict.fromkeys(POINT, "length"), notes=("point",))
     settings = ArtefactSettings
     units = (METRE,) * 3
+    size_setting = "scale_sd"
     labelled_by = ("placement",)
 
     @classmethod
@@ -62,7 +62,7 @@ class Artefact(Touched):
 
     @property
     def _scale_sd(self) -> float:
-        return self.series.number("scale_sd") or 0.0
+        return self.series.number(self.size_setting) or 0.0
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the pose errors of each placement, in its own axes, then the scale error unless the scale is exact."""

@@ -27,6 +27,11 @@ NOWHERE: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 PLACE = {"x": "m", "y": "m", "z": "m", "rx": "rad", "ry": "rad", "rz": "rad"}
 
 UNKNOWN_SD, UNKNOWN_BOUND = 0.5, 3.0  # m and rad: of an unstated pose, about the registered one
+UNKNOWN_SIZE_SD, USUAL_SIZE_SD = (
+    0.03,
+    5e-4,
+)  # of the size of a board or plate: unknown, and that of one that counts as exact
+FURTHEST = 20.0  # standard deviations of what is stated at which it is a mistake
 
 
 @dataclass(frozen=True)
@@ -79,6 +84,9 @@ class Observation(ABC):
     touches: ClassVar[bool] = False  # whether the robot must touch an object for a row to be measured
     in_station: ClassVar[bool] = False  # whether values are reported in the frame of the series' station
     from_outside: ClassVar[bool] = False  # whether it determines the robot's base in the measuring frame
+    size_setting: ClassVar[str] = (
+        ""  # the setting that states how well the size of what is measured is known, where one does
+    )
 
     @classmethod
     @abstractmethod
@@ -102,6 +110,13 @@ class Observation(ABC):
     @abstractmethod
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the nuisance parameters."""
+
+    def of_unknown_size(self) -> Self:
+        """Return the observation as if nobody had said how large what it measures is."""
+        if not self.size_setting:
+            return self
+        settings = {**dict(self.series.settings), self.size_setting: UNKNOWN_SIZE_SD}
+        return replace(self, series=replace(self.series, settings=tuple(settings.items())))
 
     @cached_property
     def declared(self) -> tuple[Parameter, ...]:

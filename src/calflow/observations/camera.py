@@ -17,7 +17,17 @@ from calflow.files.units import PIXEL
 from calflow.measurements.measurements import image_numbers, spaced
 from calflow.measurements.rows import Reported
 from calflow.measurements.series import Series
-from calflow.observations.base import NOWHERE, PLACE, UNKNOWN_BOUND, UNKNOWN_SD, Observation, Placement, Seen, Six
+from calflow.observations.base import (
+    FURTHEST,
+    NOWHERE,
+    PLACE,
+    UNKNOWN_BOUND,
+    UNKNOWN_SD,
+    Observation,
+    Placement,
+    Seen,
+    Six,
+)
 from calflow.observations.hand_eye import FEWEST_IMAGE_POINTS, Sighting, camera_and_target, focal_length, sighting
 from calflow.observations.hand_eye_methods import METHODS, camera_by, crossing
 from calflow.observations.lens import DISTORTION, Lens, projected, slopes
@@ -32,7 +42,6 @@ DISTORTION_SD = {"k": 0.3, "p": 0.02}  # by the first letter of a coefficient
 PRINT_SCALE = "scale"  # symbol of the error of a printed target's size
 LENS_SETTINGS = ("focal", "centre", "distortion")
 STATED_LENS = 0.02  # of those: what a lens is usually off from what is stated, where nobody says by how much
-FURTHEST = 20.0  # standard deviations of what is stated at which it is a mistake
 USUAL_FOCAL = 1.2  # of an image's width
 FEWEST_POSES = 3  # of which hand-eye calibration tells anything
 IMAGES, ROWS = 50, 1500  # of these at most a camera is placed: more change nothing
@@ -136,6 +145,7 @@ class Camera(Observation):
     )
     settings = CameraSettings
     units = (PIXEL, PIXEL)
+    size_setting = "print_scale_sd"
     touches = True
 
     @classmethod
@@ -184,10 +194,10 @@ class Camera(Observation):
             yield (*self._place(part, "camera", eye.place), *self._lens_errors(part, k))
         for target in self.targets:
             part = "-".join(filter(None, (self.series.name, "target", target.name)))
-            sd = self.series.number("print_scale_sd") or 0.0
+            sd = self.series.number(self.size_setting) or 0.0
             yield (
                 *self._place(part, "target", target.place),
-                self._error(part, PRINT_SCALE, "1", sd, sd, 0.0, "scale of the print"),
+                self._error(part, PRINT_SCALE, "1", sd, FURTHEST * sd, 0.0, "scale of the print"),
             )
 
     def _place(self, part: str, what: str, nominal: Six) -> list[Parameter | None]:

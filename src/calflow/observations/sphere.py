@@ -15,12 +15,11 @@ from calflow.files.toml import FileModel, Length, Lengths3
 from calflow.files.units import METRE
 from calflow.measurements.rows import Reported
 from calflow.measurements.series import Series
-from calflow.observations.base import Seen
+from calflow.observations.base import FURTHEST, Seen
 from calflow.observations.touched import Surface
 from calflow.robot.parts import Parameter
 
 USUAL_RADIUS, RADIUS_SD = 0.025, 0.1  # m: of a ball of unknown radius
-FURTHEST = 20.0  # bound of a known radius in standard deviations
 ROUGH = 5e-3  # m: typical error of a nominal robot, when the centre is located
 
 

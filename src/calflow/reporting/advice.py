@@ -46,6 +46,7 @@ from calflow.files.words import (
     ratio,
     readable,
 )
+from calflow.observations.base import UNKNOWN_SIZE_SD
 from calflow.observations.camera import PRINT_SCALE, Camera
 from calflow.sampling.posterior import ChainSummary
 from calflow.sampling.task_points import LIKELY, TaskSummary
@@ -458,6 +459,20 @@ def deviation(row: FittedParameter) -> str:
     return f"{mm(factor * row.estimate)} {unit}"
 
 
+def size_unlike_stated(outcome: RunOutcome) -> Iterator[Advice]:
+    """A board or plate whose stated size the robot's lengths contradict was not made, or not measured, as it is said to be."""
+    for row in outcome.identified_parameters:
+        if row.symbol == PRINT_SCALE and row.prior_sd >= UNKNOWN_SIZE_SD:
+            what = "The board is" if row.effect == Camera.id else "The artefact is"
+            sentence = (
+                f"{what} {100 * abs(row.estimate):.2g} % {'smaller' if row.estimate < 0 else 'larger'} than stated (± "
+                f"{100 * row.sd:.1g} %), or all lengths of the robot are off from the maker's by that share, which is unlikely. "
+                "The stated size was not used. Measure it, correct the points' coordinates, and run again: lengths are only as "
+                "certain as that."
+            )
+            yield Advice(2, sentence, AT_THE_DESK)
+
+
 def board_as_stated(outcome: RunOutcome) -> Iterator[Advice]:
     """No image shows how large a board is: where nothing is said of that, all lengths are as wrong as it is."""
     if size_is_assumed(outcome):
@@ -582,7 +597,7 @@ RULES: Mapping[str, tuple[Rule, ...]] = {
     ),
     "diagnose/summary.json": (*CAUSE_RULES, look_for_reason, look_for_structure, advised_poses, other_means, untested),
     "identify/residuals.csv": (flagged_rows,),
-    "identify/parameters.csv": (at_bound, mistaken_figures, unlike_expected, board_as_stated),
+    "identify/parameters.csv": (at_bound, mistaken_figures, unlike_expected, size_unlike_stated, board_as_stated),
     "identify/placement.csv": (second_marker, unseen_compliance),
     ISOLABILITY_TABLE: (add_to_the_plan,),
     "sample/summary.json": (too_short, ensembles_disagree),
