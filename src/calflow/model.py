@@ -630,6 +630,8 @@ def stated(
 ) -> Model:
     """Return the model of a robot with effects given by id, class or object, in the variants that a study means for the rows."""
     forms = [effect if isinstance(effect, Effect) else _class(effect).stated(robot, data) for effect in effects]
+    if observations and not any(observation.of_marker for observation in observations):
+        forms = [form.unseen() for form in forms]
     return build(robot, forms, data.given, observations)
 
 

@@ -11,6 +11,8 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+import calflow as cf
+from calflow.deployment.check_poses import choose_check_poses
 from calflow.estimation.fit import Fit
 from calflow.estimation.identification import fit_effects
 from calflow.files.problems import InputError
@@ -283,6 +285,19 @@ def test_photographs_alone_calibrate_an_arm(tmp_path, arm, robot, in_hand):
     assert held_out.unit == "px"
     assert held_out.rms == pytest.approx(0.2 * np.sqrt(2), rel=0.2)
     assert found.noise.sigma[0] == pytest.approx(0.2, rel=0.15)
+
+
+def test_a_known_tool_is_where_it_is_said_to_be(tmp_path):
+    """Fails if a tool that no image shows is off by centimetres for all anyone knows, or check poses are chosen by no positions."""
+    made = photographed(UR5E, True, 24, np.random.default_rng(2), points=COARSE)
+    data = study(tmp_path, made, "ur5e", True).measurements()
+    found = cf.identify(data.robot, data, ["geometry"])
+    assert [row.fixed for row in found.parameters.rows if row.part == "tool"] == [True] * 3
+    told = found.predict(data.joints[:1])
+    assert (told.sd < 5e-3).all()
+    assert "base and tool are taught" in told.notes[1]
+    with pytest.raises(InputError, match="positions alone"):
+        choose_check_poses(found, data)
 
 
 def test_what_an_image_errs_by_as_a_whole_is_counted_once(tmp_path):

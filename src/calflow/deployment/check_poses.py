@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calflow.deployment.drift import Drift, drift
+from calflow.deployment.drift import Drift, check_positions, drift
 from calflow.deployment.movements import movements
 from calflow.design.optimality import ParameterCriterion
 from calflow.design.search import exchange, greedy
@@ -39,8 +39,9 @@ def choose_check_poses(calibrated: CalibratedModel, data: Measurements, number: 
         number: number of poses.
 
     Raises:
-        InputError: fewer poses carry the most common payload.
+        InputError: rows have no positions, or fewer poses carry the most common payload.
     """
+    check_positions(data)
     load, there = _commonest_load(data)
     if not FEWEST_CHECK_POSES <= number <= there:
         carrying = f" with payload '{load}', which most carry" if data.table["payload"].nunique() > 1 else ""

@@ -292,6 +292,19 @@ class Drift(StoredResults):
     summary: DriftSummary
 
 
+def check_positions(data: Measurements) -> None:
+    """Check that every row has a measured position, by which alone it is told what moved.
+
+    Raises:
+        InputError: some have none.
+    """
+    if not data.has_positions:
+        raise refuse(
+            "expected a measured position in every row: what moved is told by positions alone; calflow validate takes other rows",
+            key="data",
+        )
+
+
 @checked_arguments
 def drift(
     calibrated: CalibratedModel,
@@ -316,11 +329,7 @@ def drift(
     """
     if not len(data):
         raise refuse("expected rows, found none", key="data")
-    if not data.has_positions:
-        raise refuse(
-            "expected a measured position in every row: what moved is told by positions alone; calflow validate takes other rows",
-            key="data",
-        )
+    check_positions(data)
     check_payload_stated(calibrated.model, calibrated.payloads, data.payload_stated)
     given = data.stating([*AT_REST, *calibrated.inputs]).given
     calibrated = calibrated.later(given, data)

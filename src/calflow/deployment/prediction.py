@@ -121,9 +121,20 @@ def of_field(calibrated: CalibratedModel, conditions: np.ndarray) -> list[str]:
 
 
 def standing(calibrated: CalibratedModel) -> list[str]:
-    """Return a note on the measuring frame where no external device saw the robot."""
-    unseen = "no device saw the robot from outside: the robot's own base stands in for the measuring frame"
-    return [unseen] if calibrated.model.robot.base.fixed else []
+    """Return a note on the measuring frame where no external device saw the robot, and on the tool where nothing placed it."""
+    robot, observed = calibrated.model.robot, calibrated.model.observations
+    notes = ["no device saw the robot from outside: the robot's own base stands in for the measuring frame"]
+    if observed and not any(observation.of_marker for observation in observed):
+        notes.append(
+            "images tell neither where the robot stands nor how flange and tool sit on its last link: that is in the standard "
+            "deviations; once base and tool are taught, expect the error over the joints' ranges that the run states (in_space.csv)"
+        )
+        notes += [
+            f"nothing tells where marker '{name}' is on its link: state its place in the robot file, with known = true"
+            for name, marker in robot.markers.items()
+            if not marker.known
+        ]
+    return notes if robot.base.fixed else []
 
 
 @dataclass(frozen=True)

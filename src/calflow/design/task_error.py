@@ -115,7 +115,9 @@ class TaskSlopes:
     @property
     def taught(self) -> np.ndarray:
         """Orthonormal displacements (3 n_points, n) by coordinates of the tool point that the data do not determine."""
-        fit, markers = self.fitted.fit, self.fitted.data.robot.markers
+        fit, markers, model = self.fitted.fit, self.fitted.data.robot.markers, self.fitted.model
+        if not any(observation.of_marker for observation in model.observations):
+            return np.asarray(np.linalg.qr(model.rotation(fit.estimate, self.conditions).reshape(-1, 3))[0])
         unknown = [
             k
             for k, (parameter, variance) in enumerate(zip(fit.model.parameters, np.diag(fit.covariance), strict=True))

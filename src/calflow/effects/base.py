@@ -295,6 +295,10 @@ class Effect(ABC):
         """Return the variant that a study means by the id; it may depend on the rows (their sessions, say)."""
         return cls(robot)
 
+    def unseen(self) -> Self:
+        """Return the effect for measurements that do not depend on where the markers are."""
+        return self
+
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
         """Return the variants to search for in these data; none where the data cannot show it (see `lacking`).

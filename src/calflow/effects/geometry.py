@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import casadi as ca
 
@@ -67,10 +68,12 @@ class Geometry(Effect):
     analysis to report. Markers whose places relative to the first are known translate and rotate with it.
 
     unstated: symbols of the figures that no joint counts as stated (`without_mistaken`): an arm assembled by hand has other
-    zeros than a maker's.
+    zeros than a maker's. tool_as_stated: whether known markers are where the robot file says, since nothing measures their places
+    (`unseen`).
     """
 
     unstated: tuple[str, ...] = ()
+    tool_as_stated: bool = False
 
     id = "geometry"
     title = "geometry (link lengths, twists and offsets, base, tool)"
@@ -92,6 +95,10 @@ class Geometry(Effect):
         )
         mistaken = {p.symbol for p in own if (p.lower, p.upper) == USUAL_BOUNDS}
         return replace(self, unstated=tuple(sorted({*self.unstated, *mistaken})))
+
+    def unseen(self) -> Self:
+        """Return the effect for measurements by which no marker is placed: a known one is the tool that is meant."""
+        return replace(self, tool_as_stated=True)
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the errors of this robot's lengths and angles."""
@@ -124,7 +131,12 @@ class Geometry(Effect):
     @cached_property
     def errors(self) -> tuple[DimensionError, ...]:
         """Each parameter with the entry of `Dimensions` that it changes."""
-        return (*_base(self.robot), *_links(self.robot, self.unstated), *_loop(self.robot), *_tool(self.robot))
+        return (
+            *_base(self.robot),
+            *_links(self.robot, self.unstated),
+            *_loop(self.robot),
+            *_tool(self.robot, self.tool_as_stated),
+        )
 
 
 def _error(
@@ -168,13 +180,15 @@ def _loop(robot: Robot) -> Iterator[DimensionError]:
         yield _error("loop", "rod", "bars", 1, LINK_SD, LINK_BOUND, robot.loop.rod.length)
 
 
-def _tool(robot: Robot) -> Iterator[DimensionError]:
+def _tool(robot: Robot, as_stated: bool) -> Iterator[DimensionError]:
     for k, (name, marker) in enumerate(robot.markers.items()):
         sd, bound = (PLACED_SD, PLACED_BOUND) if marker.known else (UNKNOWN_SD, UNKNOWN_BOUND)
         if marker.relative_sd:
             sd, bound = marker.relative_sd, MISTAKE * marker.relative_sd
         for i, (symbol, figure) in enumerate(zip("xyz", marker.point, strict=True)):
-            yield _error(name, symbol, "markers", 3 * k + i, sd, bound, figure)
+            error = _error(name, symbol, "markers", 3 * k + i, sd, bound, figure)
+            held = 0.0 if as_stated and marker.known and not marker.relative_sd else None
+            yield replace(error, parameter=replace(error.parameter, held=held))
     if any(marker.relative_sd for marker in robot.markers.values()):
         for i, symbol in enumerate(("rx", "ry", "rz")):
             yield _error("markers", symbol, "markers_turn", i, PLACED_SD, PLACED_BOUND)

@@ -84,6 +84,7 @@ class Observation(ABC):
     touches: ClassVar[bool] = False  # whether the robot must touch an object for a row to be measured
     in_station: ClassVar[bool] = False  # whether values are reported in the frame of the series' station
     from_outside: ClassVar[bool] = False  # whether it determines the robot's base in the measuring frame
+    of_marker: ClassVar[bool] = True  # whether its values depend on where markers are on their links
     size_setting: ClassVar[str] = (
         ""  # the setting that states how well the size of what is measured is known, where one does
     )

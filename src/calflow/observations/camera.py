@@ -145,6 +145,7 @@ class Camera(Observation):
     )
     settings = CameraSettings
     units = (PIXEL, PIXEL)
+    of_marker = False
     size_setting = "print_scale_sd"
     touches = True
 
