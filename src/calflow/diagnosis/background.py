@@ -311,9 +311,8 @@ class Sizes:
 
     def accepted(self, without: Collection[str] = ()) -> np.ndarray:
         """Return the accepted variances (n_parts,), zero for some inputs (see `VarianceComponents.accepted`)."""
-        left_out = np.zeros(self.components.n_parts, dtype=bool)
-        left_out[: len(self.basis.kinds)] = [bool(set(inputs) & set(without)) for inputs, _ in self.basis.kinds]
-        return self.components.accepted(left_out) if left_out.any() else self._accepted
+        left_out = [k for k, (inputs, _) in enumerate(self.basis.kinds) if set(inputs) & set(without)]
+        return self.components.accepted(left_out) if left_out else self._accepted
 
     @cached_property
     def _accepted(self) -> np.ndarray:

@@ -19,7 +19,7 @@ out (Kass and Raftery 1995): what counts is how far the data narrow them down, n
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -162,14 +162,9 @@ class VarianceComponents:
                 break
         return variance
 
-    def accepted(self, without: np.ndarray | None = None) -> np.ndarray:
-        """Return the accepted variances (n_parts,) by forward and backward selection of parts.
-
-        without (n_parts,) marks parts that are left out.
-        """
-        variance = np.zeros(self.n_parts)
-        left_out = np.zeros(self.n_parts, dtype=bool) if without is None else without
-        untried = {k for k in range(self.n_parts) if not left_out[k]}
+    def accepted(self, without: Collection[int] = ()) -> np.ndarray:
+        """Return the accepted variances (n_parts,) by forward selection of parts, of which some are left out."""
+        variance, untried = np.zeros(self.n_parts), set(range(self.n_parts)).difference(without)
         cost, steps = self.cost(variance), self._scoring_steps(variance, untried)
         # Each part is tried once: similar parts would alternate for ever.
         while untried and steps[best := max(untried, key=lambda k: steps[k])][0] >= PROMISING:
@@ -179,11 +174,6 @@ class VarianceComponents:
             larger = self.most_likely(larger)
             if cost - (less := self.cost(larger)) >= ACCEPTED_GAIN:
                 variance, cost, steps = larger, less, self._scoring_steps(larger, untried)
-        for k in np.flatnonzero(variance > 0):
-            fewer = np.where(np.arange(len(variance)) == k, 0.0, variance)
-            if self.cost(fewer) - cost < ACCEPTED_GAIN:
-                variance = self.most_likely(fewer)
-                cost = self.cost(variance)
         return variance
 
     def expected(self, variance: np.ndarray) -> np.ndarray:
