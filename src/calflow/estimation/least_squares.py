@@ -253,22 +253,16 @@ class LeastSquares:
 
         An error of one size in all rows has, whitened, a mean square of its square over that variance.
         """
-        return self._harmonic(unit, lambda block: block.total)
+        return _harmonic(self.total[self.in_unit(unit)])
 
     def device(self, unit: MeasurementUnit = METRE) -> float:
         """Return the device's part of it."""
-        return self._harmonic(unit, lambda block: block.sigma)
+        return _harmonic(self.sigma[self.in_unit(unit)])
 
     def discrepancy(self, unit: MeasurementUnit = METRE) -> float:
         """Return the model's part of it, which is the same in all rows."""
-        blocks = [(block, [other == unit for other in block.observation.units]) for block in self.blocks]
-        squares = [(block.total[judged] ** 2 - block.sigma[judged] ** 2).ravel() for block, judged in blocks]
-        return float(np.sqrt(max(0.0, np.concatenate([np.zeros(1), *squares]).max())))
-
-    def _harmonic(self, unit: MeasurementUnit, of: Callable[[SeriesBlock], np.ndarray]) -> float:
-        every = (of(block)[[other == unit for other in block.observation.units]] for block in self.blocks)
-        sizes = np.concatenate([np.zeros(0), *(rows.ravel() for rows in every)])
-        return float(np.mean(sizes**-2.0) ** -0.5) if len(sizes) else 0.0
+        here = self.in_unit(unit)
+        return float(np.sqrt((self.total[here] ** 2 - self.sigma[here] ** 2).max(initial=0.0)))
 
     def parts(self) -> Iterator[SeriesBlock]:
         """Yield the rows of all series, part by part (see `SeriesBlock.parts`)."""
@@ -320,6 +314,10 @@ class LeastSquares:
             jacobian = part.decorrelated(part.linearised(p)[1])
             factor = np.asarray(np.linalg.qr(np.vstack([factor, jacobian.reshape(-1, len(p))]), mode="r"))
         return factor
+
+
+def _harmonic(sizes: np.ndarray) -> float:
+    return float(np.mean(sizes**-2.0) ** -0.5) if len(sizes) else 0.0
 
 
 def sharing(observation: Observation, noise: Noise, data: Measurements) -> np.ndarray:

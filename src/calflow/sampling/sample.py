@@ -12,7 +12,7 @@ from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
 from calflow.files.problems import refuse
 from calflow.measurements.measurements import Measurements
 from calflow.sampling.chain import BLOBS, ENOUGH_TAU, Chain, ChainLength
-from calflow.sampling.log_posterior import LogPosterior, log_posterior_of, move_mixture
+from calflow.sampling.log_posterior import LogPosterior, log_posterior_of, move_mixture, propose_student
 from calflow.sampling.posterior import Posterior, effective_samples
 
 WINDOW = 5.0  # window of the autocorrelation sum, in autocorrelation times (Sokal 1997)
@@ -89,8 +89,7 @@ def _burn_in(steps: int, tau: float) -> int:
 
 def _acceptance(log_posterior: LogPosterior, walkers: np.ndarray, rng: np.random.Generator) -> float:
     """Return the mean acceptance probability of one independence proposal from each start."""
-    move = move_mixture(1.0)[0][0]
-    proposed, log_ratio = move.get_proposal(walkers, np.random.RandomState(rng.integers(2**31)))
+    proposed, log_ratio = propose_student(walkers, np.random.RandomState(rng.integers(2**31)))
     gain = log_posterior.densities(proposed)[0] - log_posterior.densities(walkers)[0] + log_ratio
     return float(np.exp(np.minimum(gain, 0)).mean())
 
