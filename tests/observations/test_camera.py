@@ -288,8 +288,12 @@ def test_photographs_alone_calibrate_an_arm(tmp_path, arm, robot, in_hand):
 
 
 def test_a_known_tool_is_where_it_is_said_to_be(tmp_path):
-    """Fails if a tool that no image shows is off by centimetres for all anyone knows, or check poses are chosen by no positions."""
-    made = photographed(UR5E, True, 24, np.random.default_rng(2), points=COARSE)
+    """Fails if a tool that no image shows is off by centimetres for all anyone knows, or check poses are chosen by no positions.
+
+    Nor may an image's error be the mean of its points' and be compared with the root mean square that is promised.
+    """
+    rng = np.random.default_rng(2)
+    made = photographed(UR5E, True, 24, rng, points=COARSE)
     data = study(tmp_path, made, "ur5e", True).measurements()
     found = cf.identify(data.robot, data, ["geometry"])
     assert [row.fixed for row in found.parameters.rows if row.part == "tool"] == [True] * 3
@@ -298,6 +302,12 @@ def test_a_known_tool_is_where_it_is_said_to_be(tmp_path):
     assert "base and tool are taught" in told.notes[1]
     with pytest.raises(InputError, match="positions alone"):
         choose_check_poses(found, data)
+    further = photographed(UR5E, True, 24, rng, points=board(), worn=made.arm)
+    (tmp_path / "new").mkdir()
+    judged = found.validate(study(tmp_path / "new", further, "ur5e", True).measurements())
+    of_points = np.sqrt(np.mean([point.calibrated**2 for point in judged.poses]))
+    assert judged.judged.rms == pytest.approx(of_points, rel=0.02)
+    assert of_points > 1.1 * judged.judged.mean
 
 
 def test_what_an_image_errs_by_as_a_whole_is_counted_once(tmp_path):

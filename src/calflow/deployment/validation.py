@@ -332,7 +332,7 @@ class _Comparison:
         of_pose = attained.by_pose(size, "mean")
         n = len(of_pose) - self.freedom_lost / attained.values
         mean, low, high = _interval(of_pose, n)
-        square, least, most = _interval(of_pose**2, n)
+        square, least, most = _interval(attained.by_pose(size**2, "mean"), n)
         further = self.further(model).reached_by(CONFIDENCE)
         figures = (mean, low, high, *np.sqrt((square, least, most)), size.max(), further)
         names = ("mean", "mean_low", "mean_high", "rms", "rms_low", "rms_high", "max", "further")
@@ -414,7 +414,7 @@ def _summary(
     """Return the summary without a verdict; noise: the device's, of a row, per axis."""
     attained, fitted = compared.attained, compared.attained.fitted
     shown, in_mm = attained.unit.shown, attained.in_mm
-    motions, promised = compared.motions, float(np.sqrt(np.mean(attained.promised**2)))
+    motions, promised = compared.motions, float(np.sqrt(attained.by_pose(attained.promised**2, "mean").mean()))
     first = np.unique(attained.pose, return_index=True)[1]  # point of each pose
     return ValidationSummary(
         status="no tolerance", judged=compared.judged, sent=sent, tolerance_mm=None, confidence=confidence,
