@@ -186,7 +186,7 @@ def accuracy_table(diagnosis: Diagnosis, data: Measurements, before: Sequence[Ac
 def diagnosis_summary(diagnosis: Diagnosis, calibrated: CalibratedModel) -> DiagnosisSummary:
     """Return the figures of `diagnose/summary.json`."""
     final, first = diagnosis.final or diagnosis.extended.fitted, diagnosis.start
-    sigma = diagnosis.growth.floor if diagnosis.growth else calibrated.sigma
+    sigma = diagnosis.growth.floor if diagnosis.growth else calibrated.device[0].sigma
     if final.noise.sources[0] == "estimated" and not diagnosis.growth:
         sigma = float(np.median(final.noise.sigma[final.noise.of_series(0)]))
     return DiagnosisSummary(

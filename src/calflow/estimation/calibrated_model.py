@@ -140,11 +140,6 @@ class CalibratedModel:
         """The unit by which it is judged."""
         return judged_unit([observation.units[0] for observation in self.model.observations])
 
-    @property
-    def sigma(self) -> float:
-        """Noise of a single row of the first series [its leading unit]."""
-        return self.device[0].sigma
-
     def conditions_of(self, data: Measurements) -> np.ndarray:
         """Return the packed conditions (n_conditions, n_rows) of rows that state at least those that the model takes."""
         return data.stating(self.model.given).on(self.model.robot).conditions

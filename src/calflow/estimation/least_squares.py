@@ -59,11 +59,6 @@ class SeriesBlock:
         return np.sqrt((self.whitening.reshape(n, n, -1) ** 2).sum(axis=0))
 
     @property
-    def leading(self) -> MeasurementUnit:
-        """The first unit of the observation's residuals."""
-        return self.observation.units[0]
-
-    @property
     def n_units(self) -> int:
         """Number of residuals per row."""
         return len(self.observation.units)
@@ -222,7 +217,7 @@ class LeastSquares:
     @cached_property
     def leading(self) -> np.ndarray:
         """Mask of the stacked residuals in their observation's first unit, shape (n,)."""
-        return self._stacked(lambda block: [unit == block.leading for unit in block.observation.units])
+        return self._stacked(lambda block: [unit == block.observation.units[0] for unit in block.observation.units])
 
     def in_unit(self, unit: MeasurementUnit) -> np.ndarray:
         """Mask of the stacked residuals in a unit, shape (n,)."""
