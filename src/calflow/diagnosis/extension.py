@@ -32,7 +32,7 @@ from calflow.diagnosis.cross_validation import carrying
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.form_error import with_form_errors
 from calflow.diagnosis.regressors import Place
-from calflow.diagnosis.screening import Catalogue, Score, Screening
+from calflow.diagnosis.screening import Catalogue, Score, Screening, by_place
 from calflow.diagnosis.stepwise import REACH, SPLIT, CauseAcceptance, Stepwise, second_thoughts, words
 from calflow.diagnosis.trial import Detection, Linearisation, Screened, Trial, is_new
 from calflow.effects.cause import Cause
@@ -117,26 +117,33 @@ class FittedTrial(Trial[Cause]):
         if set(now) != set(self.causes):
             yield now
 
-    def with_acting_rivals(self, finding: Detection[Cause]) -> Detection[Cause]:
-        """Return a finding without the rivals that do nothing where its cause is zero.
+    @cached_property
+    def findings(self) -> tuple[Detection[Cause], ...]:
+        """Its causes, each with the scores of all candidates in its place: near rivals where it is zero.
 
         A mass moves the tool through a spring: beside the bending that it is to replace, it seems to explain the same, but without
-        any spring it has no effect.
+        that spring it has no such effect.
         """
+        linear = self.linearisation.findings(self.first.family) if self.causes else []
+        return tuple(map(self._with_rivals_alone, linear))
+
+    def _with_rivals_alone(self, finding: Detection[Cause]) -> Detection[Cause]:
         cause, limit = finding.cause, finding.cost + 2 * REACH
         if all(place == cause.place or cost > limit for place, (cost, _) in finding.places.items()):
             return finding
-        # Not without the cause: at zero, an amplitude may be at its bound, which has no column.
-        still = Linearisation.at(self.fitted, self.catalogue, cause).regressors
-        silent = {other.cause for other in still.candidates if not still.products.own[other.columns].any()}
-        return replace(finding, scores=tuple(score for score in finding.scores if score.cause not in silent))
+        scores = Linearisation.at(self.fitted, self.catalogue, cause).apart([cause]).scores
+        own, rivals = ([score for score in of if (score.cause.place == cause.place) == same]
+                       for of, same in ((finding.scores, True), (scores, False)))  # fmt: skip
+        level = finding.cost - by_place(scores)[cause.place][0]
+        rivals = [replace(score, cost=score.cost + level) for score in rivals]
+        return replace(finding, scores=tuple(sorted([*own, *rivals], key=lambda score: score.cost)))
 
     @property
     def extended(self) -> Extended:
         """Its model with its findings, their rivals weighed with form errors, which takes some linearisations for each."""
         findings = (
             with_form_errors(finding, self.fitted, self.linearisation.apart([finding.cause]).regressors)
-            for finding in map(self.with_acting_rivals, self.findings)
+            for finding in self.findings
         )
         return Extended(self.fitted, tuple(findings), self.first)
 

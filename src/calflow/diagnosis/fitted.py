@@ -59,17 +59,18 @@ class Fitted:
         pose = np.unique(self.data.table["pose"], return_inverse=True)[1]
         return np.asarray(pose * len(self.data.series) + self.data.series_number)
 
-    def regressors(self, effects: Sequence[Effect], still: Cause | None = None) -> Regressors[Cause]:
+    def regressors(self, effects: Sequence[Effect], at: Fit | None = None) -> Regressors[Cause]:
         """Return the model linearised with these effects at zero, beside its background.
 
-        still is a cause of the model that is set to zero.
+        at is another estimate of the model than its own.
         """
-        problem, fit = self.problem, self.fit
-        if still is not None:
-            estimate = fit.estimate.copy()
-            estimate[self.model.columns(still)] = 0.0
-            fit = replace(fit, estimate=estimate)
-        return Regressors.of(fit, problem, effects, self.poses, self.background)
+        return Regressors.of(at or self.fit, self.problem, effects, self.poses, self.background)
+
+    def still(self, cause: Cause) -> Fitted:
+        """Return the model with one of its causes set to zero, the other estimates as they are."""
+        estimate = self.fit.estimate.copy()
+        estimate[self.model.columns(cause)] = 0.0
+        return replace(self, fit=replace(self.fit, estimate=estimate))
 
     @cached_property
     def alone(self) -> Regressors[Cause]:

@@ -82,9 +82,10 @@ class Linearisation(Generic[H]):
         still is one of its causes that is set to zero.
         """
         added = (cause for cause in fitted.causes if cause.effect not in catalogue.effects)
-        regressors = fitted.regressors((*catalogue.effects, *added), still)
-        columns = tuple(fitted.own(cause)[0] for cause in fitted.causes)
-        return Linearisation(fitted.causes, regressors, fitted.fit.estimate[~fitted.fit.at_bound], columns)
+        at = fitted.still(still) if still else fitted
+        regressors = fitted.regressors((*catalogue.effects, *added), at.fit)
+        columns = tuple(at.own(cause)[0] for cause in fitted.causes)
+        return Linearisation(fitted.causes, regressors, at.fit.estimate[~at.fit.at_bound], columns)
 
     def screened(self, rng: np.random.Generator, family: Family | None = None) -> Screened[H]:
         """Return the tests of all causes that the model lacks; family is the correction for their number, if it is known."""
