@@ -37,8 +37,8 @@ def with_form_errors(finding: Detection[Cause], fitted: Fitted, apart: Regressor
     """Return a finding with its near rivals, in each of their forms, weighed with form errors, as is its own cause.
 
     Only places are compared so: against nothing or an unnamed error the cause counts as it is, and which of its forms it has, and
-    of what size it is then, is told by their evidence alone. A form error excuses a rival, up to even odds, and is no evidence for
-    it: what else the model lacks looks like a form error, too.
+    of what size it is then, is told by their evidence alone. Form errors bring odds nearer to even, and are no evidence beyond
+    that: what else the model lacks looks like a form error, too.
     apart are the regressors of the fitted model without the cause.
     """
     columns = {candidate.cause: candidate.columns for candidate in apart.candidates}
@@ -63,15 +63,13 @@ def with_form_errors(finding: Detection[Cause], fitted: Fitted, apart: Regressor
         for form, span in zip(forms, consecutive(form.width for form in forms), strict=True)
     }
     place, usual = finding.cause.place, gains[finding.cause]
-    weighed = [replace(score, cost=score.cost - gains.get(score.cause, usual)) for score in finding.scores]
-    own = finding.cost - by_place(weighed)[place][0]
-    beside = [
-        before if before.cause.place == place else replace(score, cost=score.cost + own)
-        for before, score in zip(finding.scores, weighed, strict=True)
-    ]
-    even = {other: min(cost, finding.cost) for other, (cost, _) in finding.places.items()}
-    raised = {other: max(0.0, even[other] - cost) for other, (cost, _) in by_place(beside).items()}
-    scores = (replace(score, cost=score.cost + raised[score.cause.place]) for score in beside)
+    weighed = by_place([replace(score, cost=score.cost - gains.get(score.cause, usual)) for score in finding.scores])
+    own = finding.cost - weighed[place][0]
+    nearer = {
+        other: float(np.median([cost, finding.cost, weighed[other][0] + own])) - cost
+        for other, (cost, _) in finding.places.items()
+    }
+    scores = (replace(score, cost=score.cost + nearer[score.cause.place]) for score in finding.scores)
     return replace(finding, scores=tuple(sorted(scores, key=lambda score: score.cost)))
 
 
