@@ -208,9 +208,9 @@ class SelectionRequest:
         """Return packed conditions (n_conditions, n) of poses; the request must name a marker."""
         return packed_conditions(model, readings, self.payload, self.marker)
 
-    def whitened(self, model: Model, conditions: np.ndarray) -> np.ndarray:
-        """Return the whitened Jacobian (n_rows, n_axes, n_parameters), parameters in prior standard deviations."""
-        return self.planned.whitened(model, model.nominal, conditions) * model.prior_sd
+    def whitened(self, model: Model, readings: np.ndarray) -> np.ndarray:
+        """Return the poses' whitened Jacobian (n, n_axes, n_parameters), parameters in prior standard deviations."""
+        return self.planned.whitened(model, model.nominal, self.rows(model, readings)) * model.prior_sd
 
     def allowed(self, model: Model, readings: np.ndarray, say: Say = nobody) -> np.ndarray:
         """Return which joint readings (n, n_joints) are within limits and region, and allowed by the cell, shape (n,)."""

@@ -71,8 +71,7 @@ def refined_poses(
     solution = np.array(solver(x0=start, lbx=start - far, ubx=start + far, **bounds)["x"]).reshape(readings.shape)
 
     def loss(poses: np.ndarray) -> float:
-        whitened = request.whitened(model, request.rows(model, poses))
-        return criterion.loss(np.linalg.inv(information(whitened, prior)))
+        return criterion.loss(np.linalg.inv(information(request.whitened(model, poses), prior)))
 
     whole = request.allowed(model, solution)
     best = min(readings, np.where(whole[:, None], solution, readings), key=loss)

@@ -158,14 +158,14 @@ def select(
     if not model.observations:
         model = replace(model, observations=(request.planned.observation,))
     readings = request.choice(model, request.planned.observation, rng("candidates"), request.number, say)
-    conditions = request.rows(model, readings)
     advance(0.3)
-    whitened, prior = request.whitened(model, conditions), np.eye(len(model.parameters))
+    whitened, prior = request.whitened(model, readings), np.eye(len(model.parameters))
     if request.there is not None:
         if len(request.there) != model.n_conditions:
             shape = f"({model.n_conditions}, n)"
             raise refuse(f"expected packed conditions of shape {shape}, found {request.there.shape}", key="there")
-        prior = information(request.whitened(model, request.there), prior)
+        already = request.planned.whitened(model, model.nominal, request.there) * model.prior_sd
+        prior = information(already, prior)
     tool = (request.task or Task.of(readings[:TASK_POSES], [request.payload], request.marker)).criterion(model)
     criterion: Criterion = ParameterCriterion(len(prior)) if request.aim == "parameters" else tool
     say(f"{len(readings)} candidates, {len(prior)} parameters")
@@ -187,7 +187,7 @@ def select(
     poses, chosen = readings[result.chosen], whitened[result.chosen]
     if request.refine:
         poses = refined_poses(model, request, poses, prior, criterion)
-        chosen = request.whitened(model, request.rows(model, poses))
+        chosen = request.whitened(model, poses)
         gained = 100 * (1 - criterion.loss(np.linalg.inv(information(chosen, prior))) / result.loss)
         certificate = replace(certificate, refined_percent=gained)
         say(f"moved between the candidates they are better by {gained:.2g} %")

@@ -69,16 +69,12 @@ class PlanInformation:
     @cached_property
     def own(self) -> np.ndarray:
         """The poses' whitened Jacobians (n, n_units, n_parameters)."""
-        return self._whitened(self.model, self.request)
+        return self.request.whitened(self.model, self.readings)
 
     @cached_property
     def covariance(self) -> np.ndarray:
         """The posterior covariance with the poses, (n_parameters, n_parameters)."""
         return np.linalg.inv(information(self.own, self.prior))
-
-    def _whitened(self, model: Model, request: SelectionRequest) -> np.ndarray:
-        """Return the whitened Jacobians with another model, payload or marker, (n, n_units, n_parameters)."""
-        return request.whitened(model, request.rows(model, self.readings))
 
     @property
     def additions(self) -> Iterator[tuple[str, int, int, np.ndarray]]:
@@ -88,13 +84,14 @@ class PlanInformation:
         every_other = np.arange(n) % 2 == 1
         for name in robot.payloads:
             if name != self.request.payload:
-                loaded = self._whitened(self.model, replace(self.request, payload=name))
+                loaded = replace(self.request, payload=name).whitened(self.model, self.readings)
                 mixed = np.where(every_other[:, None, None], loaded, self.own)
                 yield f"payload '{name}' at every other pose", n, n, information(mixed, self.prior)
         others = [name for name in robot.markers if name != self.request.marker]
         for name in others:
             words = f"marker '{name}' measured at every pose too"
-            yield words, n, 2 * n, information(self._whitened(self.model, replace(self.request, marker=name)), current)
+            seen = replace(self.request, marker=name).whitened(self.model, self.readings)
+            yield words, n, 2 * n, information(seen, current)
         if not others:
             words = f"a second marker, {1e3 * ASIDE:.0f} mm beside the first, measured at every pose too"
             yield words, n, 2 * n, current + self._second_marker()
@@ -111,7 +108,7 @@ class PlanInformation:
         aside = np.where(np.arange(3) == np.argmin(np.abs(first[:2])), ASIDE, 0.0)
         markers = Named({**robot.markers, SECOND: Marker(tuple(first + aside))})
         model = build(replace(robot, markers=markers), effects, self.model.given, self.model.observations)
-        return self._marginal_information(model, self._whitened(model, replace(self.request, marker=SECOND)))
+        return self._marginal_information(model, replace(self.request, marker=SECOND).whitened(model, self.readings))
 
     def _second_station(self) -> np.ndarray:
         """Return the information of a second device with the same noise at an unknown pose."""
