@@ -54,7 +54,7 @@ from calflow.diagnosis.cause_tables import (
 from calflow.diagnosis.diagnosis import Diagnosis, accuracy_table, diagnosis_summary, extended_model, search_causes
 from calflow.diagnosis.findings import Finding
 from calflow.diagnosis.findings import findings as diagnosed_findings
-from calflow.diagnosis.fitted import HUBER, Fitted
+from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.replication import CarriedAccuracy, ConfirmedCause, ConfirmedPoint
 from calflow.diagnosis.replication import confirm as confirmed
 from calflow.effects import Effect, effect_ids, effects_by_id, effects_given
@@ -801,7 +801,7 @@ def _diagnosed_tables(
 ) -> Results:
     """Return the tables and the summary of diagnose; before is the calibration that was diagnosed."""
     final, data = diagnosis.final or diagnosis.extended.fitted, before.data
-    studentised = Studentised.of(final.fit, data, extended.noise(data), HUBER, final.covariance)
+    studentised = Studentised.of(final.fit, data, extended.noise(data), final.covariance)
     odd, odd_faults = odd_rows(final.fit, data, studentised)
     odd_table = as_table(odd_faults if diagnosis.final else (), data)
     faults = pd.concat([table for table in (before.faults.table, odd_table) if len(table)] or [odd_table])

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calflow.diagnosis.fitted import HUBER, Fitted
+from calflow.diagnosis.fitted import Fitted
 from calflow.estimation import leverage
 from calflow.estimation.identification import fit_effects
 from calflow.estimation.leverage import Studentised, judged_table
@@ -32,7 +32,7 @@ def judged(data):
     known, data = found.known, found.data
     final = Fitted.of(known, data.only(data.train), known.noise(data).only(data.train))
     noise = replace(known.noise(data), discrepancy=final.noise.discrepancy)
-    studentised = Studentised.of(final.fit, data, noise, HUBER)
+    studentised = Studentised.of(final.fit, data, noise)
     odd, told = odd_rows(final.fit, data, studentised)
     return odd, told, judged_table(final.fit, data, studentised, odd)
 
@@ -62,7 +62,7 @@ def test_a_row_that_the_fit_follows_is_no_odder_where_the_estimate_is_less_sure(
     """Fails if errors that the fit did not count narrow what its own rows may err by: a small residual would be a gross one."""
     found = fit_effects(measured, ("geometry", "joint-compliance"), starts=1)
     data, noise = found.data, found.known.noise(found.data)
-    own, beside = (Studentised.of(found.fit, data, noise, HUBER, wider) for wider in (None, 30 * found.fit.covariance))
+    own, beside = (Studentised.of(found.fit, data, noise, wider) for wider in (None, 30 * found.fit.covariance))
     np.testing.assert_array_equal(beside.values[data.train], own.values[data.train])
     assert (np.abs(beside.values[data.held_out]) < np.abs(own.values[data.held_out])).all()
 

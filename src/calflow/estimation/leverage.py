@@ -25,7 +25,6 @@ from calflow.files.units import METRE, MeasurementUnit
 from calflow.measurements.measurements import Measurements
 
 FALSE_FLAGS = 0.01  # chance that any good row of a whole data set is flagged
-TINY = 1e-12  # standard deviations: smaller errors are rounding
 LEAST_LEFT = 1e-3  # lower limit of a residual's variance, as a share of the row's variance
 UNSURE = 0.05  # probability that the error at new poses exceeds its upper limit
 BY_CHANCE = 0.05  # p-value of the leave-one-out errors of a complete model, above which they show no excess
@@ -58,38 +57,29 @@ class Studentised:
         return np.asarray((~np.isnan(self.values)).sum(axis=1))
 
     @staticmethod
-    def of(
-        result: Fit, data: Measurements, noise: Noise, far: float = np.inf, beside: np.ndarray | None = None
-    ) -> Studentised:
+    def of(result: Fit, data: Measurements, noise: Noise, beside: np.ndarray | None = None) -> Studentised:
         """Studentise the residuals of rows by their leverage, so that a row that pulls the fit to itself still shows.
 
-        Rows beyond `far` robust standard deviations had Huber's weight w in the fit (Huber 1964), held-out rows have w = 0. The
-        variance of a whitened residual is 1 + (1 - 2 w) h, h being the variance of the prediction. beside is the covariance of the
-        estimate including smooth errors that the fit ignored; it serves held-out rows alone, as those errors did not reduce the
-        residuals of fitted rows.
+        With the variance h of the prediction that of a whitened residual is 1 - h in fitted rows and 1 + h in held-out ones. beside
+        is the covariance of the estimate including smooth errors that the fit ignored; it serves held-out rows alone, as those
+        errors did not reduce the residuals of fitted rows.
         """
         model, estimate = completed(result.model, result.estimate, data)
         places = [model.parameters.index(parameter) for parameter in result.model.parameters]
         squared, whitened = np.empty(len(data)), np.empty(len(data))
         values = np.full((len(data), max(len(observation.units) for observation in model.observations)), np.nan)
-        parts = []
+        unsure = result.covariance if beside is None else beside
         for part in LeastSquares.of(model, data, noise).parts():
             rows, (residual, whole) = part.rows, part.linearised(estimate)
-            jacobian = whole[:, :, places]
-            predicted = jacobian @ result.covariance @ jacobian.transpose(0, 2, 1)
-            if beside is not None:
-                held = ~data.train[rows]
-                predicted[held] = jacobian[held] @ beside @ jacobian[held].transpose(0, 2, 1)
-            parts.append((rows, residual, predicted))
-            whitened[rows] = np.sqrt((residual**2).mean(axis=1))
-        usual = max(float(np.median(whitened[data.train])), TINY)
-        weight = np.where(data.train, np.minimum(1.0, far * usual / np.maximum(whitened, TINY)) ** 2, 0.0)
-        for rows, residual, predicted in parts:
-            spread = np.eye(residual.shape[1]) + (1 - 2 * weight[rows])[:, None, None] * predicted
+            jacobian, held = whole[:, :, places], ~data.train[rows]
+            spread = np.eye(residual.shape[1]) - jacobian @ result.covariance @ jacobian.transpose(0, 2, 1)
+            of_held = jacobian[held]
+            spread[held] = np.eye(residual.shape[1]) + of_held @ unsure @ of_held.transpose(0, 2, 1)
             inverse = np.linalg.pinv(spread, hermitian=True)
             squared[rows] = np.maximum(np.einsum("ni,nij,nj->n", residual, inverse, residual), 0.0)
             sd = np.sqrt(np.maximum(np.einsum("nii->ni", spread), LEAST_LEFT))
             values[np.asarray(rows)[:, None], np.arange(residual.shape[1])] = residual / sd
+            whitened[rows] = np.sqrt((residual**2).mean(axis=1))
         return Studentised(squared, values, whitened)
 
 
