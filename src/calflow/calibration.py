@@ -357,10 +357,9 @@ class Calibration(CalibratedModel, RunOutcome):
         if any(fault.action == "unsettled" for fault in before.faults):
             say("the robot file or the table has a mistake that must be settled first: no cause is named")
             causes = 0
-        misses = before.summary.new_poses_mm
         diagnosis = search_causes(
-            before, data, misses=np.nan if misses is None else misses / 1e3, false_alarm=false_alarm, causes=causes,
-            catalogue=only, leave_out=without, rng=rng, say=say, advance=advance,
+            before, data, false_alarm=false_alarm, causes=causes, catalogue=only, leave_out=without, rng=rng, say=say,
+            advance=advance,
         )  # fmt: skip
         extended = extended_model(diagnosis, before, data)
         asked = {"diagnose": {"false_alarm": false_alarm}}

@@ -43,7 +43,7 @@ class Missing:
     @property
     def left_out(self) -> SimpleNamespace:
         """What its causes leave."""
-        return SimpleNamespace(at_new_poses=self.misses[self.causes])
+        return SimpleNamespace(of_new_measurements=self.misses[self.causes])
 
     def with_causes(self, causes: list[str]) -> Missing:
         """The same robot's model with others."""
@@ -51,7 +51,7 @@ class Missing:
 
 
 @pytest.mark.parametrize(
-    ("told", "misses", "identified", "stay"),
+    ("told", "misses", "without", "stay"),
     [
         ({"a": "named", "b": "one_of"}, {"ab": 2.0, "a": 1.0}, 5.0, "a"),
         ({"a": "named", "b": "vague"}, {"ab": 2.0, "a": 1.0}, 5.0, "a"),
@@ -64,7 +64,7 @@ class Missing:
         ({"a": "vague", "D": "vague"}, {"aD": 2.0, "a": 1.0, "D": 1.0}, 0.5, "D"),
     ],
 )
-def test_what_helps_nowhere_else_stays_a_suspicion(told, misses, identified, stay):
+def test_what_helps_nowhere_else_stays_a_suspicion(told, misses, without, stay):
     """Fails if a doubtful cause is deployed by which left-out poses are missed no less, or one that helps or is certain is not.
 
     One of the device is, whatever is missed.
@@ -73,8 +73,8 @@ def test_what_helps_nowhere_else_stays_a_suspicion(told, misses, identified, sta
         SimpleNamespace(status=one.replace("vague", "named"), finding=SimpleNamespace(cause=Named(name), told=one))
         for name, one in told.items()
     ]
-    extended = SimpleNamespace(fitted=Missing(misses, "".join(told)))
-    kept = deployed_causes(extended, verdicts, identified)
+    extended = SimpleNamespace(fitted=Missing(misses | {"": without}, "".join(told)))
+    kept = deployed_causes(extended, verdicts)
     assert "".join(one.finding.cause for one in kept.deployed) == stay
     assert "".join(one.finding.cause for one in kept.suspected) == "".join(one for one in told if one not in stay)
     assert (kept.fitted is None) == (not stay)

@@ -222,7 +222,6 @@ def search_causes(
     calibrated: CalibratedModel,
     data: Measurements,
     *,
-    misses: float = np.nan,
     false_alarm: float = FALSE_ALARM,
     causes: int = 10,
     catalogue: tuple[str, ...] = (),
@@ -236,7 +235,6 @@ def search_causes(
     Args:
         calibrated: the identified model.
         data: the rows it was identified from, with the registered robot to which its errors refer.
-        misses: its root mean square leave-one-pose-out error [m]; nan: not known.
         false_alarm: probability of any finding where the model lacks nothing.
         causes: largest number of causes to add.
         catalogue: ids of the effects to test; empty: all.
@@ -284,7 +282,7 @@ def search_causes(
     beside = Linearisation.at(extended.fitted, every).beside.scores if left or extended.findings else ()
     judged = [verdict(finding, every.untestable(finding.cause.id)) for finding in extended.findings]
     otherwise = judged or other or (extended.fitted.outlier_factor > 1).any()
-    kept = deployed_causes(extended, judged, misses) if otherwise else DeployedCauses(None, ())
+    kept = deployed_causes(extended, judged) if otherwise else DeployedCauses(None, ())
     # The search takes markers of a standstill as independent.
     kept = replace(kept, fitted=kept.fitted and kept.fitted.sharing())
     for suspect in kept.suspected:

@@ -419,23 +419,22 @@ class DeployedCauses:
     suspected: tuple[Verdict, ...] = ()
 
 
-def deployed_causes(extended: Extended, verdicts: Sequence[Verdict], identified_misses: float) -> DeployedCauses:
+def deployed_causes(extended: Extended, verdicts: Sequence[Verdict]) -> DeployedCauses:
     """Return the model without those uncertain causes of the robot that do not lower the leave-one-pose-out error.
 
     Args:
         extended: the model with all causes.
         verdicts: the verdicts on its causes, the one that explains most first; they are tried from the last.
-        identified_misses: root mean square leave-one-pose-out error [m] of the identified model; nan: not known.
     """
     now = DeployedCauses(extended.fitted, tuple(verdicts))
-    misses = extended.fitted.left_out.at_new_poses
+    misses = extended.fitted.left_out.of_new_measurements
     of_robot = [verdict for verdict in reversed(verdicts) if not verdict.finding.cause.of_measuring()]
     for doubtful in [verdict for verdict in of_robot if not is_certain(verdict, extended.fitted)]:
         stay = tuple(verdict for verdict in now.deployed if verdict is not doubtful)
-        fewer = extended.fitted.with_causes([verdict.finding.cause for verdict in stay]) if stay else None
-        misses_then = fewer.left_out.at_new_poses if fewer else identified_misses
-        if misses_then <= misses:
-            now, misses = DeployedCauses(fewer, stay, (doubtful, *now.suspected)), misses_then
+        fewer = extended.fitted.with_causes([verdict.finding.cause for verdict in stay])
+        if (misses_then := fewer.left_out.of_new_measurements) <= misses:
+            now = DeployedCauses(fewer if stay else None, stay, (doubtful, *now.suspected))
+            misses = misses_then
     return now
 
 

@@ -137,6 +137,12 @@ class LeftOut:
         beyond = self.scatter**2 * max(self.sum_of_squares - self.expected, 0.0) / self.number
         return float(np.sqrt(3 * (self.by_parameters**2 + self.discrepancy**2 + beyond)))
 
+    @property
+    def of_new_measurements(self) -> float:
+        """The same [m] of positions measured there, with the noise, which holds what the model lacks where it was estimated."""
+        device = self.scatter**2 - self.discrepancy**2
+        return float(np.sqrt(self.at_new_poses**2 + 3 * device))
+
     def upper_limit(self, noise_tells: bool) -> float:
         """Return the upper 95 % confidence limit of the error at new poses [m]; nan without any.
 

@@ -110,7 +110,7 @@ def _diagnosed_step(
         source=study.measurement_path,
     )  # fmt: skip
     diagnosing = study.validated_settings("diagnose", DiagnoseSettings).model_dump()
-    search = search_causes(first.known, first.data, misses=first.left_out.at_new_poses, **diagnosing, rng=rng)
+    search = search_causes(first.known, first.data, **diagnosing, rng=rng)
     bare = replace(search.extended.fitted.model, given=())
     planned = planned_like(search.extended.fitted, fitted_share(first.data))
     asked = request_of(study, settings, bare, planned, rng("task"))
