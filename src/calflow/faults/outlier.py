@@ -9,6 +9,7 @@ the tail of the other residuals.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import reduce
 
 import numpy as np
 import scipy
@@ -21,18 +22,24 @@ from calflow.estimation.noise import measured_noise
 from calflow.estimation.registration import in_measuring_frame, registered
 from calflow.faults.base import Correction, Fault, correct, fault, faulty_rows
 from calflow.faults.mistake import LENGTH_UNITS
+from calflow.faults.photographed import mistake_in_images
 from calflow.faults.reference import EQUATIONS, Reference
 from calflow.faults.rough import FAR_BETTER, GROSS, LEAST_GROSS, RobustFit
+from calflow.files.problems import refuse
 from calflow.files.units import METRE, MeasurementUnit
 from calflow.files.words import rounded
 from calflow.measurements.measurements import Measurements, image_numbers
 from calflow.model import build
 from calflow.observations import Observation, observations
+from calflow.observations.camera import Camera
 
 # The only evidence for an outlier is its size, so the limit allows for heavy tails: the largest of n rows exceeds it in
 # one of 300 data sets if each axis has Student's t with 3 degrees of freedom, scaled by the 90 % quantile of rows without
 # gross errors (4.1 for the length of three such t's). At 120 rows that is 38 standard deviations of normal noise. Many or
 # clustered outliers are a cause that the model lacks.
+# Error, as a share of the images' extent, that three quarters of the points exceed where images belong to other readings or to
+# another set-up. A camera or board that was moved leaves the images before or after it in agreement.
+MISTAKEN, MOST = 0.01, 0.25
 DEGREES, TAIL_QUANTILE, TAIL_LENGTH = 3, 0.9, 4.0972
 FALSE_ALARM = 1 / 300  # share of data sets without a fault in which one is found
 MAX_OUTLIER_SHARE = 0.15  # of the rows: more are not outliers
@@ -118,7 +125,13 @@ def is_position(data: Measurements) -> np.ndarray:
 
 
 def gross_rows(data: Measurements, which: np.ndarray) -> tuple[Fault, ...]:
-    """Return the outliers among some rows (n_rows,) by a robust fit of all training rows, one fault per series."""
+    """Return the outliers among some rows (n_rows,) by a robust fit of all training rows, one fault per series.
+
+    Images that no such robot explains have a mistake of robot file or readings, which is returned instead, or corrected first.
+
+    Raises:
+        InputError: no single mistake explains them, or the user must settle it, and no fit can absorb it.
+    """
     train = data.only(data.train)
     robot, observed = registered(data.robot, observations(train), train)
     here, train = data.on(robot), train.on(robot)
@@ -143,6 +156,15 @@ def gross_rows(data: Measurements, which: np.ndarray) -> tuple[Fault, ...]:
         least = LEAST_GROSS * unit.usual / METRE.usual
         limit = limit_of(far[rows], scale, max(GROSS * scale, least))
         gross = rows & (far > limit)
+        if isinstance(observed[int(k)], Camera) and (least := _mistaken(data, far, rows)):
+            if found := mistake_in_images(data):
+                unsettled = any(fault.action == "unsettled" for fault in found)
+                return found if unsettled else (*found, *gross_rows(reduce(correct, found, data), which))
+            raise refuse(
+                f"three quarters of the points in the images are {least:.0f} px or more from where any robot like this one has "
+                "them: check that each image stands beside its own joint readings, camera_on and target_on, order, signs and units "
+                "of the joints, the target's points (px_x …), that u is to the right and v down, and the stated lens"
+            )
         of_series = f" of measurements {data.series[k].name or k + 1}" if len(data.series) > 1 else ""
         better = np.minimum(limit, far / FAR_BETTER)
         explained = _read_otherwise(here, observed[int(k)], gross, better, of_series, missed)
@@ -154,6 +176,13 @@ def gross_rows(data: Measurements, which: np.ndarray) -> tuple[Fault, ...]:
             what = f"what was measured in LINES{of_series}"
             faults.append(_excluded(data, gross, what, far[gross], float(np.median(far[rows & ~gross])), unit))
     return tuple(faults)
+
+
+def _mistaken(data: Measurements, far: np.ndarray, rows: np.ndarray) -> float:
+    """Return the error [px] that most of the rows of images exceed, 0 unless no robot has it; an arm that moves may."""
+    least = float(np.quantile(far[rows], MOST))
+    extent = np.ptp(data.table.loc[rows, ["u", "v"]].to_numpy(), axis=0).max()
+    return least if least > MISTAKEN * extent and "speed" not in data.given else 0.0
 
 
 def _read_otherwise(

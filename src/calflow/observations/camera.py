@@ -46,6 +46,7 @@ USUAL_FOCAL = 1.2  # of an image's width
 FEWEST_POSES = 3  # of which hand-eye calibration tells anything
 IMAGES, ROWS = 50, 1500  # of these at most a camera is placed: more change nothing
 LEAST_SQUARES = "least squares"
+SETTLING = 100  # evaluations of such a fit at most: of images that are no robot's it has no end
 ROBUST_ROUNDS = 3  # of fits in which the scale of what is robust settles
 PLANNED_POINTS = 4  # of a target
 INNER = 0.6  # of the image, in which the middle of a planned target is
@@ -327,12 +328,7 @@ class Camera(Observation):
                 cameras[c] = replace(
                     cameras[c], lens=_first_lens(cameras[c].lens, [(point[v], image[v]) for v in views])
                 )
-            lens = replace(self, cameras=tuple(cameras)).lens(c)
-            sightings = [(v[0], sighting(point[v], lens.rays(image[v]))) for v in views]
-            at, seen = (
-                np.array([v for v, sighted in sightings if sighted]),
-                [sighted for _, sighted in sightings if sighted],
-            )
+            at, seen = _sighted(replace(self, cameras=tuple(cameras)).lens(c), views, point, image)
             if not seen:
                 continue
             x, y = _places(
@@ -346,6 +342,36 @@ class Camera(Observation):
             targets[t] = replace(targets[t], place=_six(y)) if ("target", t) not in placed else targets[t]
             placed |= {("camera", c), ("target", t)}
         return replace(self, cameras=tuple(cameras), targets=tuple(targets))
+
+    def places_seen(self, table: pd.DataFrame) -> tuple[np.ndarray, np.ndarray] | None:
+        """Return places by the images alone, of one camera and one target; None without any.
+
+        They are rows of the table, one of each image (n,), and where the target's middle is in the camera's frame (n, 3) [m]; of a
+        camera that moves, where a point before it that moves with it is in the target's. It is where the target is on average, so
+        that the target's tilt, which an image tells worst, hardly moves it.
+        """
+        if len(self.cameras) != 1 or len(self.targets) != 1:
+            return None
+        image, point, images = self.reported(table)[:2].T, self.reported(table)[2:5].T, image_numbers(table)
+        views = [np.flatnonzero(images == number) for number in np.unique(images)]
+        lens = self.lens(0)
+        if self.series.setting("focal") is None:
+            lens = replace(
+                self,
+                cameras=(
+                    replace(
+                        self.cameras[0], lens=_first_lens(self.cameras[0].lens, [(point[v], image[v]) for v in views])
+                    ),
+                ),
+            ).lens(0)
+        at, seen = _sighted(lens, views, point, image)
+        if not seen:
+            return None
+        poses = np.array([sighted.poses[0] for sighted in seen])
+        places = poses[:, :3, :3] @ point.mean(axis=0) + poses[:, :3, 3]
+        if self._link("camera_on") is not None:
+            places = np.einsum("nji,nj->ni", poses[:, :3, :3], places.mean(axis=0) - places)
+        return at, places
 
     def _settled(self, table: pd.DataFrame, hand: np.ndarray, base: np.ndarray) -> Self:
         """The observation with all that is not stated where a robust fit of the images, some of them, has it."""
@@ -379,7 +405,9 @@ class Camera(Observation):
         correction = np.zeros(len(sd))
         for _ in range(ROBUST_ROUNDS):
             scale = max(float(np.median(np.abs(missed(correction)[: -len(sd)]))), PIXEL.usual)
-            fit = scipy.optimize.least_squares(missed, correction, slope, loss="soft_l1", f_scale=2 * scale)
+            fit = scipy.optimize.least_squares(
+                missed, correction, slope, loss="soft_l1", f_scale=2 * scale, max_nfev=SETTLING
+            )
             correction = fit.x
         return replace(fixed._by(sd * correction), series=self.series)
 
@@ -601,6 +629,15 @@ def _first_lens(figures: tuple[float, ...], views: Sequence[tuple[np.ndarray, np
     flat = [(point[:, :2], image - centre) for point, image in views if np.ptp(point[:, 2]) == 0 and len(point) >= 6]
     focal = focal_length(flat, USUAL_FOCAL * width)
     return (focal, focal, *map(float, centre), *figures[4:])
+
+
+def _sighted(
+    lens: Lens, views: Sequence[np.ndarray], point: np.ndarray, image: np.ndarray
+) -> tuple[np.ndarray, list[Sighting]]:
+    """The first row of each view (rows of an image) that shows where its target is, and the target's candidate poses in it."""
+    sightings = [(view[0], sighting(point[view], lens.rays(image[view]))) for view in views]
+    seen = [(row, sighted) for row, sighted in sightings if sighted]
+    return np.array([row for row, _ in seen], dtype=int), [sighted for _, sighted in seen]
 
 
 def _places(

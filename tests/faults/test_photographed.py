@@ -1,0 +1,86 @@
+"""Gross mistakes of readings and set-up that photographs of a board show; arm, camera and board are simulated by NumPy alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from calflow.faults import examined
+from calflow.files.problems import InputError
+from observations.photographed import PANDA, UR5E, Arm, Photographs, board, frame, photographed
+from observations.test_camera import study
+
+POINTS = board(4, 3, 0.07)
+Change = Callable[[pd.DataFrame], pd.DataFrame]
+
+
+@pytest.fixture(scope="module", params=[(UR5E, "ur5e", True), (PANDA, "franka-panda", False)])
+def made(request) -> tuple[Photographs, str, bool]:
+    """Thirty photographs by an arm with a camera in its hand, and by one with the board in its gripper."""
+    arm, name, in_hand = request.param
+    return photographed(arm, in_hand, 30, np.random.default_rng(8), points=POINTS), name, in_hand
+
+
+def checked(folder, made, change: Change):
+    """The faults of the photographs after a change of their rows."""
+    seen, name, in_hand = made
+    rows = change(seen.rows.copy())
+    return examined(study(folder, Photographs(rows, *list(vars(seen).values())[1:]), name, in_hand).measurements())
+
+
+def negated(rows: pd.DataFrame) -> pd.DataFrame:
+    return rows.assign(q3_rad=-rows["q3_rad"])
+
+
+def exchanged(rows: pd.DataFrame) -> pd.DataFrame:
+    return rows.rename(columns={"q1_rad": "q2_rad", "q2_rad": "q1_rad"})
+
+
+def of_other_readings(rows: pd.DataFrame) -> pd.DataFrame:
+    """Each image beside the readings of the one before."""
+    readings = rows.filter(regex=r"^q\d").columns
+    before = rows.groupby("pose")[readings].first().shift(1).bfill()
+    return rows.drop(columns=readings).join(before, on="pose")
+
+
+def test_a_sign_is_named_and_corrected(made, tmp_path):
+    """Fails if images of a joint that counts the other way are fitted by another robot, or the fit breaks down on them."""
+    data, faults = checked(tmp_path, made, negated)
+    assert [(fault.cause, fault.joint, fault.action) for fault in faults] == [("joint-sign", 3, "corrected")]
+    turned = data.table.groupby("pose")["q3"].first().to_numpy()
+    assert turned == pytest.approx(made[0].rows.groupby("pose")["q3_rad"].first().to_numpy())
+
+
+@pytest.mark.parametrize("change", [exchanged, of_other_readings])
+def test_what_no_fit_can_settle_stops_the_run(made, tmp_path, change):
+    """Fails if images that are no such robot's are fitted all the same, and it comes out metres long."""
+    told = "columns q1 and q2 are exchanged" if change is exchanged else "beside its own joint readings"
+    with pytest.raises(InputError, match=told):
+        checked(tmp_path, made, change)
+
+
+def test_an_arm_built_by_hand_is_no_mistake_and_a_board_that_was_moved_is_told(tmp_path):
+    """Fails if zeros degrees off count as a mistake, or nobody says that the board lies 60 mm further from the middle on."""
+    loose = UR5E.worn(np.random.default_rng(1), turn=0.03, shift=2e-3)
+    moved = photographed(UR5E, True, 30, np.random.default_rng(2), points=POINTS, worn=loose)
+    assert not checked(tmp_path, (moved, "ur5e", True), lambda rows: rows)[1]
+
+    class Pushed(Arm):
+        def links(self, q):
+            there = super().links(q)
+            there[-1] = np.where(
+                np.arange(len(q))[:, None, None] < 15, there[-1], frame(None, (0.06, 0, 0)) @ there[-1]
+            )
+            return there
+
+    pushed = photographed(
+        UR5E, True, 30, np.random.default_rng(3), points=POINTS, worn=Pushed(UR5E.figures, False, UR5E.limits)
+    )
+    (tmp_path / "pushed").mkdir()
+    (told,) = checked(tmp_path / "pushed", (pushed, "ur5e", True), lambda rows: rows)[1]
+    assert (told.cause, told.action) == ("device-moved", "unsettled")
+    assert "from line 182 on" in told.statement
+    assert "(column 'target')" in told.statement
