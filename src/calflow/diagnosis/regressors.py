@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, reduce
+from functools import cached_property, lru_cache, reduce
 from typing import Generic, Protocol, Self, TypeVar
 
 import numpy as np
@@ -360,12 +360,13 @@ def side_by_side(numbers: np.ndarray) -> np.ndarray | slice:
 
 def candidates_of(effects: Sequence[Effect]) -> tuple[Candidate[Cause], ...]:
     """Return a candidate with its columns for each place of the effects, effect by effect."""
-    candidates, start = [], 0
-    for effect in effects:
-        if isinstance(effect, Cause):
-            candidates.append(Candidate(effect, start + np.arange(len(effect.declared))))
-        else:
-            for part, columns in parts(effect).items():
-                candidates.append(Candidate(Cause(effect.robot, effect, part), start + columns))
-        start += len(effect.declared)
-    return tuple(candidates)
+    spans = zip(effects, consecutive(len(effect.declared) for effect in effects), strict=True)
+    return tuple(replace(own, columns=span.start + own.columns) for effect, span in spans for own in _places(effect))
+
+
+@lru_cache(maxsize=4096)
+def _places(effect: Effect) -> tuple[Candidate[Cause], ...]:
+    """Return the candidates of one effect; cached, as their causes keep what they state."""
+    if isinstance(effect, Cause):
+        return (Candidate(effect, np.arange(len(effect.declared))),)
+    return tuple(Candidate(Cause(effect.robot, effect, part), columns) for part, columns in parts(effect).items())

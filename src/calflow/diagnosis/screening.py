@@ -273,18 +273,15 @@ class Screening(Generic[H]):
         r, size = self.regressors, np.ones(len(residual)) if size is None else size
         steps = [slice(start, start + DRAWN_AT_ONCE) for start in range(0, residual.shape[1], DRAWN_AT_ONCE)]
         score, chi2 = np.zeros((r.matrix.shape[1], residual.shape[1])), (pull**2 / r.precision[:, None]).sum(axis=0)
-        gradient = np.empty(pull.shape)
+        gradient = np.asarray(scipy.linalg.solve_triangular(self._factor, pull, lower=True))
         for draws in steps:
             drawn = size[:, None] * residual[:, draws]
-            gradient[:, draws] = r.jacobian.T @ drawn + pull[:, draws]
+            gradient[:, draws] += self.prediction_root @ drawn
             chi2[draws] += (drawn**2).sum(axis=0)
-        gradient = scipy.linalg.solve_triangular(self._factor, gradient, lower=True)
-        change = -scipy.linalg.solve_triangular(self._factor.T, gradient, lower=False)
         for rows, x in r.matrix.blocks():
+            predicts = self.prediction_root[:, rows].T
             for draws in steps:
-                score[:, draws] += x.T @ (
-                    size[rows, None] * residual[rows, draws] + r.jacobian[rows] @ change[:, draws]
-                )
+                score[:, draws] += x.T @ (size[rows, None] * residual[rows, draws] - predicts @ gradient[:, draws])
         return score, chi2 - (gradient**2).sum(axis=0)
 
     def imitation(self, columns: np.ndarray) -> np.ndarray:

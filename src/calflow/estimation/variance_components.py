@@ -123,7 +123,7 @@ class VarianceComponents:
         """Return the posterior of functions with these variances (n_parts,), in those of non-zero variance (Woodbury 1950)."""
         here = np.flatnonzero(variance[self.part] > 0)
         size = np.sqrt(variance[self.part[here]])
-        whole = self.gram[np.ix_(here, here)]
+        whole = self.gram[here][:, here]  # rows, then columns: several times as fast as both at once
         whole *= size[:, None]
         whole *= size
         whole[np.diag_indices(len(here))] += 1.0
@@ -235,10 +235,10 @@ class VarianceComponents:
         posterior, beside = self.posterior(variance), {}
         for k in parts:
             i = np.flatnonzero(self.part == k)
-            taken = scipy.linalg.solve_triangular(
-                posterior.factor, posterior.size[:, None] * self.gram[np.ix_(posterior.here, i)], lower=True
-            )
-            gram, score = self.gram[np.ix_(i, i)] - taken.T @ taken, self.score[i] - taken.T @ posterior.along
+            own = self.gram[i]
+            along = (posterior.size * own[:, posterior.here]).T
+            taken = scipy.linalg.solve_triangular(posterior.factor, along, lower=True)
+            gram, score = own[:, i] - taken.T @ taken, self.score[i] - taken.T @ posterior.along
             beside[k] = gram, score, posterior.chi2
         return beside
 
