@@ -24,8 +24,6 @@ from calflow.robot.mechanism import Row, nominal_dimensions
 from calflow.robot.parts import Base, Expected
 from calflow.robot.robot import Robot
 
-ROUNDS = 8  # iterations of reweighting by 1 / distance (least absolute deviations), which suppresses outliers
-NEAR = 1e-3  # m: rows closer than this have equal weights
 PARALLEL_TURNS = 0.999  # second over first singular value from which all motions turn about nearly the same line
 NOMINAL_ERROR = 1e-3  # m and rad, standard error of a nominal robot: sets the scale of outliers in the robust fit
 FEW_POSES = 3  # oriented poses below which the base's rotation is left to positions
@@ -107,13 +105,9 @@ def marker_shifts(
     else:
         base = np.einsum("ij,nk->nijk", np.eye(3), position).reshape(-1, 3, 9)
         matrix, wanted = np.concatenate([-shifts, base, -there], axis=2), nominal
-    weight = np.ones(len(which))
-    for _ in range(ROUNDS):
-        weighted = (weight[:, None, None] * matrix).reshape(-1, matrix.shape[2])
-        solution, _, rank, _ = np.linalg.lstsq(weighted, (weight[:, None] * wanted).ravel(), rcond=1e-6)
-        if rank < weighted.shape[1]:
-            return np.zeros((n_places, 3))
-        weight = 1 / np.sqrt(np.maximum(np.linalg.norm(matrix @ solution - wanted, axis=1), NEAR))
+    solution, _, rank, _ = np.linalg.lstsq(matrix.reshape(-1, matrix.shape[2]), wanted.ravel(), rcond=1e-6)
+    if rank < matrix.shape[2]:
+        return np.zeros((n_places, 3))
     return solution[: 3 * n_places].reshape(n_places, 3)
 
 
