@@ -145,10 +145,11 @@ def test_why_an_image_is_left_out_is_said(tmp_path):
     (tmp_path / "text.png").write_text("no image", encoding="utf-8")
     board = written(tmp_path, **said)
     joints = tmp_path / "joints.csv"
-    joints.write_text("image,q1_deg,q2_deg\ngood.png,1,2\n", encoding="utf-8")
+    joints.write_text("image,q1_deg,q2_deg\ngood.png,1,2\nlost.png,3,4\n", encoding="utf-8")
     names = [tmp_path / f"{name}.png" for name in ("good", "grey", "small", "text", "gone")]
     answer = in_process("detect", *names, "--target", board, "--joints", joints, "--into", tmp_path / "study")
     assert answer.code == 0, answer
+    assert "the readings of lost.png belong to no image" in answer.out + answer.err
     left_out = pd.read_csv(tmp_path / "study" / "detections" / "left_out.csv").set_index("image")["reason"]
     assert left_out["grey.png"].startswith("0 corners found")
     assert "of another lens" in left_out["small.png"]
@@ -186,8 +187,32 @@ def test_pictures_and_standstills_that_are_there_twice_and_other_boards_are_said
     assert images["repeat"].to_dict() == {"first.png": 1, "second.png": 1, "third.png": 2}
 
 
+@pytest.mark.parametrize(
+    ("table", "told"),
+    [
+        ("image,x_m,y_m\na.png,1,2\n", "expected joint readings, q1_deg"),
+        ("image,q1,q2\na.png,1,2\n", "expected joint readings, q1_deg"),
+        ("image,q1_deg,q2_deg\na.png,1,\n", "joints.csv:2: a.png: expected a number"),
+        ("image,q1_deg,q2_deg\na.png,1,2\na.png,1,3\n", "joints.csv:3: a.png: has other joint readings"),
+    ],
+)
+def test_readings_that_are_none_are_refused(tmp_path, table, told):
+    """Fails if poses of the flange, readings without a unit or gaps go into the measurements, to be found out later or never."""
+    cv2.imwrite(str(tmp_path / "a.png"), np.full(SHAPE, 120, np.uint8))
+    joints = tmp_path / "joints.csv"
+    joints.write_text(table, encoding="utf-8")
+    board = written(tmp_path, **KINDS["charuco"])
+    answer = in_process(
+        "detect", tmp_path / "a.png", "--target", board, "--joints", joints, "--into", tmp_path / "study"
+    )
+    assert answer.code == 2
+    assert told in answer.err
+
+
 def test_a_target_that_cannot_be_is_refused(tmp_path):
     """Fails if sizes that are missing, or a dictionary that there is not, are found out by a traceback."""
+    with pytest.raises(InputError, match="marker_mm less than size_mm"):
+        detect_targets([], written(tmp_path, **KINDS["charuco"] | {"marker_mm": 40}))
     with pytest.raises(InputError, match="needs marker, dictionary"):
         detect_targets([], written(tmp_path, kind="charuco", columns=5, rows=4, size_mm=30))
     with pytest.raises(InputError, match="DICT_6X6_250"):

@@ -12,6 +12,7 @@ from calflow.files.deferred import pd
 from calflow.files.problems import Problem, escaped, refuse, refuse_any
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
+READING = re.compile(r"q\d+_\w+")  # the name of a column of joint readings
 MOST_SAID = 10  # most images left out that are named
 
 
@@ -39,8 +40,7 @@ def detect_command(images: tuple[Path, ...], target: Path, joints: Path | None, 
     if not files:
         raise refuse(f"holds no image: expected {', '.join(SUFFIXES)}", images[0])
     readings = read_cells(joints, Layout()) if joints else None
-    if readings is not None and "image" not in readings:
-        raise refuse("expected a column 'image' with the images' names", joints)
+    notes = () if readings is None else _check_readings(readings, [file.name for file in files], joints)
     detected = detect_targets(files, target)
     table, left_out = detected.table, dict(detected.left_out)
     if readings is not None:
@@ -50,7 +50,8 @@ def detect_command(images: tuple[Path, ...], target: Path, joints: Path | None, 
         table = table[in_images].merge(readings_only.drop_duplicates("image"), on="image", how="left")
         table = _with_repeats(table)
     if not len(table):
-        raise refuse(f"no image shows the target: {next(iter(left_out.items()))[1]}", files[0])
+        name, reason = next(iter(left_out.items()))
+        raise refuse(f"no image is of use: {escaped(name)} {reason}", files[0])
     write_text(measured, csv_text(table))
     for name, picture in detected.pictures.items():
         write_whole(into / "detections" / f"{Path(name).stem}.png", picture)
@@ -62,16 +63,39 @@ def detect_command(images: tuple[Path, ...], target: Path, joints: Path | None, 
     say(*(f"left out: {escaped(name)} {reason}" for name, reason in list(left_out.items())[:MOST_SAID]))
     if len(left_out) > MOST_SAID:
         say(f"and {len(left_out) - MOST_SAID} more, see {into / 'detections' / 'left_out.csv'}")
-    say_notes(detected.notes)
+    say_notes((*detected.notes, *notes))
     say(f"wrote {measured}, pictures of what was found into {into / 'detections'}")
     state, give = 'state [measurements] kind = "camera" in the study', "give each pose its joint readings, or --joints"
     say(f"next: {state if joints else give}")
 
 
+def _check_readings(readings: pd.DataFrame, files: list[str], path: Path | None) -> tuple[str, ...]:
+    """Check that a table of readings names images and has figures of joints; return a note on images that are not there.
+
+    Raises:
+        InputError: it does not, or an image has two rows that differ.
+    """
+    if "image" not in readings:
+        raise refuse("expected a column 'image' with the images' names", path)
+    joints = [name for name in map(str, readings) if READING.fullmatch(name)]
+    if not joints:
+        raise refuse(
+            f"expected joint readings, q1_deg … (or _rad, _mm), found columns {', '.join(map(str, readings))}", path
+        )
+    missing = readings[joints].apply(pd.to_numeric, errors="coerce").isna().any(axis=1)
+    each = readings.drop_duplicates(["image", *joints])
+    wrong = dict.fromkeys(readings.index[missing], "expected a number in each of its joint columns")
+    wrong |= dict.fromkeys(each.index[each.duplicated("image")], "has other joint readings in an earlier row")
+    refuse_any(Problem(f"{readings['image'][row]}: {what}", path, row) for row, what in wrong.items())
+    absent = [name for name in dict.fromkeys(readings["image"].astype(str)) if name not in files]
+    more = f" and {len(absent) - 1} more" if len(absent) > 1 else ""
+    return (f"the readings of {escaped(absent[0])}{more} belong to no image that was given",) if absent else ()
+
+
 def _with_repeats(table: pd.DataFrame) -> pd.DataFrame:
     """Return the points with images of equal joint readings, of one standstill, as repeats of the first one's pose."""
     images = table.drop_duplicates("image").set_index("image")
-    readings = [name for name in map(str, table) if re.fullmatch(r"q\d+_\w+", name)]
+    readings = [name for name in map(str, table) if READING.fullmatch(name)]
     if not readings or "repeat" in table or not images.duplicated(readings).any():
         return table
     alike = images.groupby(readings, dropna=False)["pose"]

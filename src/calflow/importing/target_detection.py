@@ -49,6 +49,8 @@ class TargetFile(FileModel):
         lacking = [name for name in needs.get(self.kind, ("size",)) if not getattr(self, name)]
         if lacking:
             raise ValueError(f'kind = "{self.kind}" needs {", ".join(lacking)}, as printed')
+        if self.kind == "charuco" and (self.marker or 0.0) >= (self.size or 0.0):
+            raise ValueError("a marker is inside a square of the board: expected marker_mm less than size_mm")
         return self
 
     @property
