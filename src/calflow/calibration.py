@@ -98,7 +98,7 @@ from calflow.estimation.parameters import Covariances, FittedParameter, Paramete
 from calflow.estimation.progress import Advance, Draws, Say, draws, nobody
 from calflow.estimation.residual_field import POSES, FieldAccuracy, FieldPose, read_field
 from calflow.faults import Fault, FaultyRow, as_table, corrected, examined
-from calflow.faults.base import lines_in_words
+from calflow.faults.base import SET_UP, lines_in_words
 from calflow.faults.duplicate import rows_held_by
 from calflow.faults.outlier import odd_rows
 from calflow.files.deferred import pd
@@ -307,14 +307,14 @@ class Calibration(CalibratedModel, RunOutcome):
             )
         objection = warning(self)
         whole = (fault for fault in self.faults if fault.row == 0 and fault.action == "corrected")
-        return (
-            *(() if objection is None else (objection,)),
-            *(
-                f"Correct the {fault.where} and run again before this model is used: {fault.statement}, in its measurements alone; "
-                "rows are read now, and commands written, as the robot file has them"
-                for fault in whole
-            ),
+        told = (
+            f"Correct the {fault.where}: {fault.statement}"
+            if fault.where == SET_UP  # a setting of the device, on which no command depends
+            else f"Correct the {fault.where} and run again before this model is used: {fault.statement}, in its measurements "
+            "alone; rows are read now, and commands written, as the robot file has them"
+            for fault in whole
         )
+        return (*(() if objection is None else (objection,)), *dict.fromkeys(told))
 
     @cached_property
     def parameters(self) -> Parameters:

@@ -59,12 +59,16 @@ def test_only_a_lens_that_images_contradict_is_called_wrong(tmp_path, hidden, bo
 
 
 def test_a_wrong_lens_names_nothing_of_the_robot(tmp_path):
-    """Fails if what a wrong lens leaves is called the robot's, the robot's cause is lost beside it, or the promise is too good."""
+    """Fails if what a wrong lens leaves is called the robot's, the robot's cause is lost beside it, or the promise is too good.
+
+    Nor may commands, which depend on no lens, be called wrong for it, once for each of its figures.
+    """
     made = seen(24, True)
     kept = study(tmp_path, made, "ur5e", True, lens_stated(replace(STRAIGHT, focal=TOO_LONG.focal)))
     found = identify(kept.robot, kept.measurements(), ["geometry"], starts=1).diagnose(catalogue=CATALOGUE)
     causes = [(finding.status, finding.cause, finding.joint) for finding in found.findings]
     assert causes == [("data_fault", "stated-lens", None), ("named", "joint-eccentricity", 3)]
+    assert [told.startswith("Correct the set-up: the stated lens") for told in found.warnings] == [True]
     rows = found.in_space
     assert missed(found, made, turned) < 1.6 * rows[-1].rms_mm
     assert not is_no_better(rows)
