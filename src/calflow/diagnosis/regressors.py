@@ -189,9 +189,9 @@ class RegressorProducts:
         left, mixed = np.zeros(len(gram)), np.zeros((jacobian.shape[1], len(gram)))
         for rows, values in regressors.matrix.blocks():
             for candidate in regressors.candidates:
-                columns = candidate.columns
-                x = values[:, side_by_side(columns)]
-                gram[columns, : len(columns)] += x.T @ x
+                own = side_by_side(candidate.columns)
+                x = values[:, own]
+                gram[own, : len(candidate.columns)] += x.T @ x
             mixed += jacobian[rows].T @ values
             left += values.T @ residual[rows]
         return RegressorProducts(jacobian.T @ jacobian, mixed, gram, jacobian.T @ residual, left)
@@ -217,7 +217,7 @@ class RegressorProducts:
         keep = np.setdiff1d(np.arange(len(self.fitted)), gone)
         return replace(
             self,
-            fitted=self.fitted[np.ix_(keep, keep)],
+            fitted=self.fitted[keep][:, keep],
             mixed=self.mixed[keep],
             fitted_left=self.fitted_left[keep] - self.fitted[np.ix_(keep, gone)] @ value,
             left=self.left - self.mixed[gone].T @ value,

@@ -102,7 +102,7 @@ class Fit:
     @cached_property
     def effective_parameters(self) -> float:
         """Effective number of parameters that the data determine: the sum over parameters of 1 - prior share."""
-        return float(np.trace(self.covariance @ (self.information - np.diag(self.model.prior_sd**-2.0))))
+        return float(np.vdot(self.covariance, self.information - np.diag(self.model.prior_sd**-2.0)))
 
     def _inverse(self, free: np.ndarray) -> np.ndarray:
         """Inverse of the free parameters' information, zero elsewhere; scaled by the priors to stay well-conditioned."""
