@@ -163,7 +163,7 @@ class VarianceComponents:
         return variance
 
     def accepted(self, without: Collection[int] = ()) -> np.ndarray:
-        """Return the accepted variances (n_parts,) by forward selection of parts, of which some are left out."""
+        """Return the accepted variances (n_parts,) by forward and backward selection of parts, of which some are left out."""
         variance, untried = np.zeros(self.n_parts), set(range(self.n_parts)).difference(without)
         cost, steps = self.cost(variance), self._scoring_steps(variance, untried)
         # Each part is tried once: similar parts would alternate for ever.
@@ -174,6 +174,11 @@ class VarianceComponents:
             larger = self.most_likely(larger)
             if cost - (less := self.cost(larger)) >= ACCEPTED_GAIN:
                 variance, cost, steps = larger, less, self._scoring_steps(larger, untried)
+        for k in np.flatnonzero(variance > 0):
+            fewer = np.where(np.arange(len(variance)) == k, 0.0, variance)
+            if self.cost(fewer) - cost < ACCEPTED_GAIN:
+                variance = self.most_likely(fewer)
+                cost = self.cost(variance)
         return variance
 
     def expected(self, variance: np.ndarray) -> np.ndarray:
