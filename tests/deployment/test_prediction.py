@@ -5,12 +5,15 @@ from __future__ import annotations
 import io
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
 
 from applied import predict
+from calflow.deployment.compensation import compensate
+from calflow.deployment.prediction import predict_rows
 from calflow.effects.thermal_growth import ThermalGrowth
 from calflow.estimation.model_tables import identified
 from calflow.files.units import METRE
@@ -63,6 +66,38 @@ def test_its_standard_deviations_are_those_of_the_covariance(finished, asked):
     alone = moved @ known.errors.spread
     variance = known.errors.rest[METRE] ** 2 + (both**2).sum(axis=2) + (alone**2).sum(axis=2)
     np.testing.assert_allclose(predicted[SD], 1e3 * np.sqrt(variance), rtol=1e-4)
+
+
+def test_readings_beyond_the_measured_range_are_told(finished, asked):
+    """Fails if a joint far from where it was measured is predicted without a word, or one that was there is named."""
+    rows = pd.read_csv(asked, dtype=str).drop(columns="pose")
+    low, high = rows["q1_deg"].astype(float).agg(["min", "max"])
+    rows["q1_deg"] = [str(high + 0.09 * (high - low)), str(high + 0.11 * (high - low)), *rows["q1_deg"][2:]]
+    finished.measure(rows, "asked.csv")
+    answer = finished.calflow("predict", finished / "runs", asked, "--out", finished / "p.csv")
+    assert "joint 1 is beyond its measured range in line 3: " in answer.err
+    assert answer.err.count("beyond its measured range") == 1
+
+
+def test_commands_beyond_the_measured_range_are_told(finished, asked):
+    """Fails if a target is reached by a joint that was never measured there, without a word."""
+    results = read_results(read_manifest(finished / "runs"), finished / "runs", "identify")
+    robot = Robot.from_toml(finished / "robot.toml")
+    data = Measurements.to_predict(asked, robot)
+    known = identified(robot, results, data.given)
+    travel = np.array([data.joints.min(axis=0), data.joints.max(axis=0)])
+    np.testing.assert_allclose(known.joint_range, travel, atol=1e-9)
+    few = data.only(np.arange(len(data)) < 4)
+    farthest = int(np.argmax(few.joints[:, 0]))
+    travel[:, 0] = few.joints[farthest, 0] - np.array([0.2, 0.1])
+    sent = compensate(
+        replace(known, joint_range=travel),
+        predict_rows(known, few).position,
+        start=few.joints,
+        payload=list(few.table["payload"]),
+    )
+    (note,) = (note for note in sent.notes if "measured range" in note)
+    assert str(farthest) in note.split("pose ")[1]
 
 
 def test_time_counts_from_where_the_fit_s_did(small, monkeypatch):

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from calflow.estimation.calibrated_model import CalibratedModel
+from calflow.estimation.extrapolation import beyond
 from calflow.estimation.needed_conditions import HOW_TO_GO_ON, check_payload_stated, check_stated
 from calflow.estimation.residual_field import NOT_PHYSICAL
 from calflow.files.deferred import pd
@@ -18,6 +19,7 @@ from calflow.files.words import rounded
 from calflow.measurements.measurements import Measurements
 
 Missing = Literal["refuse", "widen"]
+BEYOND_RANGE = "beyond its measured range", "how errors go on there is a guess; measure there before you rely on it"
 
 
 @dataclass(frozen=True)
@@ -99,7 +101,8 @@ def predict_rows(calibrated: CalibratedModel, data: Measurements, missing: Missi
     conditions = stated.data.conditions
     position = stated.calibrated.expected_point(conditions)
     variance = stated.calibrated.position_variance(conditions) + stated.widened
-    notes = (*standing(calibrated), *stated.notes, *of_field(stated.calibrated, conditions), *beyond_limits(data))
+    notes = (*standing(calibrated), *stated.notes, *of_field(stated.calibrated, conditions), *beyond_limits(data),
+             *_of_joints(data, beyond_range(calibrated, data), *BEYOND_RANGE))  # fmt: skip
     field = calibrated.field_correction(conditions) if calibrated.field else None
     return Prediction(position, np.sqrt(variance), notes, field)
 
@@ -176,9 +179,21 @@ def as_stated(
 def beyond_limits(data: Measurements, so: str = "the prediction there is extrapolated") -> list[str]:
     """Return notes that name the rows with a joint past its limits, and the consequence so."""
     past = data.robot.past_limits(data.joints @ data.robot.reading_matrix.T, 1e-9)
+    return _of_joints(data, past, "past its limits", so)
+
+
+def beyond_range(calibrated: CalibratedModel, data: Measurements) -> np.ndarray:
+    """Return the mask (n_rows, n_joints) of readings beyond the measured range by more than a tenth of it."""
+    if calibrated.joint_range is None:
+        return np.zeros(data.joints.shape, dtype=bool)
+    return beyond(data.joints, calibrated.joint_range)
+
+
+def _of_joints(data: Measurements, which: np.ndarray, what: str, so: str) -> list[str]:
+    """Return notes on the joints that are what is said in some rows, by the mask (n_rows, n_joints) which."""
     lines = data.table["line"].to_numpy()
     return [
-        f"joint {i + 1} is past its limits in line {', '.join(map(str, lines[past[:, i]][:5]))}"
-        f"{' and more' if past[:, i].sum() > 5 else ''}: {so}"
-        for i in np.flatnonzero(past.any(axis=0))
+        f"joint {i + 1} is {what} in line {', '.join(map(str, lines[which[:, i]][:5]))}"
+        f"{' and more' if which[:, i].sum() > 5 else ''}: {so}"
+        for i in np.flatnonzero(which.any(axis=0))
     ]

@@ -97,7 +97,7 @@ class CalibratedModel:
     errors: error model beyond the device's noise; alternatives: other models of similar probability; field: a
     non-physical correction of predictions; intraclass: correlation of the errors of markers at one standstill; needed: the
     conditions of a row that predictions need; time_origin [s]: clock reading from which times count; payloads: those carried
-    in the measurements.
+    in the measurements; joint_range (2, n_joints): the least and the largest readings there; None: not known.
     """
 
     model: Model
@@ -114,6 +114,7 @@ class CalibratedModel:
     needed: tuple[NeededCondition, ...] = ()
     time_origin: float | None = None
     payloads: tuple[str, ...] = ()
+    joint_range: np.ndarray | None = None
 
     def later(self, given: tuple[str, ...], series: Measurements | None = None) -> Self:
         """Return the model for rows measured later that state these conditions, or those of a series (see `Effect.later`)."""

@@ -42,6 +42,8 @@ class Certainty:
     points: int = column("measured points that were used")
     markers: tuple[str, ...] = column("their markers")
     payloads: tuple[str, ...] = column("their payloads")
+    joints_low: tuple[float, ...] = column("the least reading of each joint", "rad; of a slide m", default=())
+    joints_high: tuple[float, ...] = column("the largest", "rad; of a slide m", default=())
     split: Literal["train", "holdout"] = column("the rows by which it is judged, which have values in `unit`")
     unit: str = column("the unit by which it is judged: mm, mrad, px, …")
     left: float = column("mean error, in `unit`")
@@ -108,7 +110,9 @@ class Certainty:
         poses = tested["pose"].nunique()
         markers = tuple(str(name) for name in data.table["marker"].unique() if name)
         return Certainty(
-            points=len(data), markers=markers, payloads=calibrated.payloads, split="holdout" if held else "train", unit=unit.label,
+            points=len(data), markers=markers, payloads=calibrated.payloads,
+            joints_low=tuple(data.joints.min(axis=0).tolist()), joints_high=tuple(data.joints.max(axis=0).tolist()),
+            split="holdout" if held else "train", unit=unit.label,
             left=float(distance[judged].mean()), noise=noise.words, noise_floor=floor if calibrated.noise_known else None,
             model_sd_mm=model_sd, prediction_sd_mm=prediction_sd, rivals=bool(calibrated.alternatives),
             reach_m=(float(reach.min()), float(reach.max())),

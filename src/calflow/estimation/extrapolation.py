@@ -36,7 +36,8 @@ MOMENT = 1.0  # s after the measurement, within which the shift by a cause grows
 FADE = 0.05  # share of a measured travel beyond its ends within which its curve fades
 BEYOND_WAVES = 8  # frequencies of a curve beyond its travel, each with cosine and sine
 SHIFT = 8 * 3600.0  # s: how long a robot works on, on average
-BEYOND = 0.1  # share of a joint's travel by which a held-out reading may lie outside the fitted range
+BEYOND = 0.1  # share of a joint's travel by which a held-out reading may lie outside the fitted range,
+LEAST_BEYOND = 0.01  # and by so much in any case [rad, or m]: the range of a joint that stood still is none
 
 
 @dataclass(frozen=True)
@@ -382,5 +383,5 @@ def beyond(readings: np.ndarray, measured: np.ndarray, travel: np.ndarray | None
     They are so by more than a tenth of a travel (n_joints,), by default that range.
     """
     low, high = measured.min(axis=0), measured.max(axis=0)
-    margin = BEYOND * (high - low if travel is None else travel)
+    margin = np.maximum(BEYOND * (high - low if travel is None else travel), LEAST_BEYOND)
     return np.asarray((readings < low - margin) | (readings > high + margin))

@@ -380,7 +380,7 @@ def _read(stage: str, robot: Robot, results: Results, given: tuple[str, ...]) ->
             raise refuse(f"{stage}/{name}.csv does not fit the study's robot and effects; run {stage} again")
     needed = results.rows(f"{stage}/needed_conditions.csv", NeededCondition)
     time_origin = results.document("identify/summary.json", IdentifySummary).time_origin_s
-    payloads = results.document("identify/certainty.json", Certainty).payloads
+    used = results.document("identify/certainty.json", Certainty)
     return CalibratedModel(
         model,
         np.array([parameter.estimate for parameter in parameters]),
@@ -390,7 +390,8 @@ def _read(stage: str, robot: Robot, results: Results, given: tuple[str, ...]) ->
         errors=read_errors(results.tables[f"{stage}/errors.csv"], model, FUNCTIONS),
         needed=tuple(needed),
         time_origin=time_origin,
-        payloads=payloads,
+        payloads=used.payloads,
+        joint_range=np.array([used.joints_low, used.joints_high]) if used.joints_low else None,
     )
 
 
