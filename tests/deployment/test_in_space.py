@@ -87,6 +87,10 @@ def test_what_is_promised_holds_and_hand_eye_alone_is_told(calibrated):
     assert 0.2 * np.sqrt(2) * 0.9 < geometry.rms_px < 0.2 * np.sqrt(2) * 1.5
     assert not is_no_better(rows)
     assert len(space_words(rows)) == 2
+    untold = [
+        row if row.where == RANGES else replace(row, n=0, mean_mm=float("nan"), max_mm=float("nan")) for row in rows
+    ]
+    assert "nan" not in " ".join(space_words(untold))  # as of images that show points of one line alone
 
 
 def test_a_tool_that_nobody_knows_takes_nothing_off_the_promise(calibrated):

@@ -195,9 +195,10 @@ def space_words(rows: Sequence[SpaceError]) -> list[str]:
     rows = [row for row in rows if not row.method]
     where = "holdout" if any(row.where == "holdout" for row in rows) else "train"
     seen = {row.model: row for row in rows if row.where == where}
+    figures = [f"{name} mean {row.mean_mm:.3f} mm, max {row.max_mm:.3f} mm" for name, row in seen.items() if row.n]
+    few = "their points are too few, or on a line, to tell where the target is"
     return [
-        f"in space, by the images ({'held out' if where == 'holdout' else 'fitted'}): "
-        + ", ".join(f"{name} mean {row.mean_mm:.3f} mm, max {row.max_mm:.3f} mm" for name, row in seen.items()),
+        f"in space, by the images ({'held out' if where == 'holdout' else 'fitted'}): {', '.join(figures) or few}",
         f"in space, over the joints' ranges, base and tool taught: expected error {promised.mean_mm:.3f} mm on average, "
         f"{promised.max_mm:.3f} mm at worst; the robot as its maker says is {off.mean_mm:.3f} mm off, {off.max_mm:.3f} mm at worst",
     ]
