@@ -17,7 +17,6 @@ from pathlib import Path
 
 import numpy as np
 
-from calflow import templates as library
 from calflow.design.candidates import candidates
 from calflow.design.optimality import ParameterCriterion, ToolError, indices, information
 from calflow.design.planned import Planned, SelectionRequest, Task
@@ -29,6 +28,7 @@ from calflow.model import Model, build
 from calflow.observations.position import Position
 from calflow.robot.mechanism import reading_columns, shown_readings
 from calflow.robot.robot import Robot
+from calflow.templates import library_file
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from collisions import CASES, Outside
@@ -80,7 +80,7 @@ def robot(name: str) -> Robot:
         return Robot.from_toml(STUDY / "robot.toml")
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "robot.toml")
-        path.write_text(library.text(name), encoding="utf-8")
+        path.write_text(library_file(name), encoding="utf-8")
         return Robot.from_toml(path)
 
 
