@@ -49,6 +49,10 @@ class Missing:
         """The same robot's model with others."""
         return Missing(self.misses, "".join(causes))
 
+    def sharing(self) -> Missing:
+        """The same model where its markers share no errors."""
+        return self
+
 
 @pytest.mark.parametrize(
     ("told", "misses", "without", "stay"),

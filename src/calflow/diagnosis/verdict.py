@@ -432,7 +432,9 @@ def deployed_causes(extended: Extended, verdicts: Sequence[Verdict]) -> Deployed
     for doubtful in [verdict for verdict in of_robot if not is_certain(verdict, extended.fitted)]:
         stay = tuple(verdict for verdict in now.deployed if verdict is not doubtful)
         fewer = extended.fitted.with_causes([verdict.finding.cause for verdict in stay])
-        if (misses_then := fewer.left_out.of_new_measurements) <= misses:
+        # Without any cause the model is the identified one, as identify fits it.
+        misses_then = (fewer if stay else fewer.sharing()).left_out.of_new_measurements
+        if misses_then <= misses:
             now = DeployedCauses(fewer if stay else None, stay, (doubtful, *now.suspected))
             misses = misses_then
     return now
