@@ -13,7 +13,7 @@ import pytest
 import typst
 
 from calflow.deployment import usability
-from calflow.deployment.figures_alone import EffortLevel
+from calflow.deployment.figures_alone import LEVELS, EffortLevel
 from calflow.deployment.in_space import ALONE, RANGES, SpaceError
 from calflow.deployment.run_outcome import RunOutcome
 from calflow.deployment.usability import Advice, Rule, judgement
@@ -608,12 +608,20 @@ def test_held_out_poses_that_contradict_what_new_ones_let_expect_are_told_beside
 
 
 def test_headline_says_where_the_error_was_measured() -> None:
-    def of(split: str, *figures: tuple[float, float]) -> str:
+    """Fails if fitted poses pass for others, or an error without what the device adds for the measured one beside it."""
+
+    def of(split: str, *figures: tuple[float, float], alone: float | None = None) -> str:
         steps = [
             Accuracy(model=str(k), step=k, split=split, n=4, mean_mm=mean, rms_mm=mean, max_mm=most)  # type: ignore[arg-type]
             for k, (mean, most) in enumerate(figures)
         ]
-        return headline(results({"identify/accuracy.csv": to_frame(steps, Accuracy)}))
+        told = {"level": "nothing", "split": split, "unit": "mm", "rms": 1.0, "max": 1.0, "promised": 1.0}
+        levels = to_frame([EffortLevel(mean=alone, **told)] if alone else [], EffortLevel)  # type: ignore[arg-type]
+        return headline(
+            results(
+                {"identify/accuracy.csv": to_frame(steps, Accuracy)} | ({f"identify/{LEVELS}": levels} if alone else {})
+            )
+        )
 
     before, after = (30.4622, 42.64), (0.04458, 0.1031)
     assert of("holdout", before, after) == (
@@ -622,6 +630,10 @@ def test_headline_says_where_the_error_was_measured() -> None:
     )
     assert "none were held out" in of("train", before, after)
     assert "reduces" not in of("holdout", after, before)
+    assert "the error from 12.50 mm (30.46 mm with what the measuring device adds) to" in of(
+        "holdout", before, after, alone=12.5
+    )
+    assert "device" not in of("holdout", before, after, alone=30.4)
 
 
 def test_a_contradicted_noise_is_the_first_thing_said() -> None:

@@ -61,6 +61,7 @@ CAPPED = (
     "found."
 )
 FITTED = "used for the fit (none were held out)"
+DEVICE = 0.01  # share of the error from which it is said what the measuring device adds
 LEFT_OPEN, CAUSES_LISTED = 4, 4  # open questions and causes on the first page
 RARE = 0.05  # p-value below which chance is unlikely
 LASTING = 1.5  # growth of the promised error within a day up to which the first page does not state it
@@ -251,9 +252,12 @@ def headline(outcome: RunOutcome) -> str:
     seen, unit = "that no fit has seen" if steps[0].split == "holdout" else FITTED, steps[0].unit
     if len(steps) == 1:
         return f"At poses {seen}, the nominal robot is off by {mm(before)} {unit} on average."
-    verb = "reduces" if now < before else "increases"
+    verb, whole = "reduces" if now < before else "increases", steps[0].figures[0]
+    device = (
+        f" ({mm(whole)} {unit} with what the measuring device adds)" if abs(whole - before) > DEVICE * whole else ""
+    )
     return (
-        f"At poses {seen}, calibration {verb} the error from {mm(before)} {unit} to {mm(now)} {unit} "
+        f"At poses {seen}, calibration {verb} the error from {mm(before)} {unit}{device} to {mm(now)} {unit} "
         f"on average, and the largest from {mm(most_before)} {unit} to {mm(most_now)} {unit}."
     )
 
