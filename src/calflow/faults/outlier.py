@@ -37,10 +37,10 @@ from calflow.observations.camera import Camera
 # one of 300 data sets if each axis has Student's t with 3 degrees of freedom, scaled by the 90 % quantile of rows without
 # gross errors (4.1 for the length of three such t's). At 120 rows that is 38 standard deviations of normal noise. Many or
 # clustered outliers are a cause that the model lacks.
+DEGREES, TAIL_QUANTILE, TAIL_LENGTH = 3, 0.9, 4.0972
 # Error, as a share of the images' extent, that three quarters of the points exceed where images belong to other readings or to
 # another set-up. A camera or board that was moved leaves the images before or after it in agreement.
 MISTAKEN, MOST = 0.01, 0.25
-DEGREES, TAIL_QUANTILE, TAIL_LENGTH = 3, 0.9, 4.0972
 FALSE_ALARM = 1 / 300  # share of data sets without a fault in which one is found
 MAX_OUTLIER_SHARE = 0.15  # of the rows: more are not outliers
 GROUP = 0.5  # share of a payload's or marker's rows from which these are a cluster
@@ -156,12 +156,12 @@ def gross_rows(data: Measurements, which: np.ndarray) -> tuple[Fault, ...]:
         least = LEAST_GROSS * unit.usual / METRE.usual
         limit = limit_of(far[rows], scale, max(GROSS * scale, least))
         gross = rows & (far > limit)
-        if isinstance(observed[int(k)], Camera) and (least := _mistaken(data, far, rows)):
+        if isinstance(observed[int(k)], Camera) and (off := _mistaken(data, far, rows)):
             if found := mistake_in_images(data):
                 unsettled = any(fault.action == "unsettled" for fault in found)
                 return found if unsettled else (*found, *gross_rows(reduce(correct, found, data), which))
             raise refuse(
-                f"three quarters of the points in the images are {least:.0f} px or more from where any robot like this one has "
+                f"three quarters of the points in the images are {off:.0f} px or more from where any robot like this one has "
                 "them: check that each image stands beside its own joint readings, camera_on and target_on, order, signs and units "
                 "of the joints, the target's points (px_x …), that u is to the right and v down, and the stated lens"
             )
