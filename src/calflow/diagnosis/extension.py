@@ -134,7 +134,10 @@ class FittedTrial(Trial[Cause]):
         scores = Linearisation.at(self.fitted, self.catalogue, cause).apart([cause]).scores
         own, rivals = ([score for score in of if (score.cause.place == cause.place) == same]
                        for of, same in ((finding.scores, True), (scores, False)))  # fmt: skip
-        level = finding.cost - by_place(scores)[cause.place][0]
+        places = by_place(scores)
+        if cause.place not in places:  # another cause imitates it there, as a spring does a small mass
+            return finding
+        level = finding.cost - places[cause.place][0]
         rivals = [replace(score, cost=score.cost + level) for score in rivals]
         return replace(finding, scores=tuple(sorted([*own, *rivals], key=lambda score: score.cost)))
 
