@@ -46,3 +46,11 @@ def test_lengths_that_err_each_in_its_own_way_do_not_contradict_a_board(tmp_path
     for seed in range(4):
         built = UR5E.worn(np.random.default_rng(seed), shift=8e-3)
         assert size(fitted(tmp_path, built, 0.0, 10 + seed, STATED))[1] < 6e-4
+
+
+def test_a_size_that_is_said_to_be_hardly_known_stays_so(tmp_path: Path) -> None:
+    """Fails if a statement that the size is known to 8 % is taken for one to 3 %, or is doubted, which takes a fit more."""
+    wide = fitted(tmp_path, UR5E.worn(np.random.default_rng(3)), 0.0, 4, "print_scale_sd_um_per_m = 80000\n")
+    assert wide.model.observations[0].of_unknown_size() is wide.model.observations[0]
+    (scale,) = (parameter for parameter in wide.model.parameters if parameter.name == "target.scale")
+    assert scale.prior_sd == pytest.approx(0.08)

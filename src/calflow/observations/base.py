@@ -27,10 +27,8 @@ NOWHERE: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 PLACE = {"x": "m", "y": "m", "z": "m", "rx": "rad", "ry": "rad", "rz": "rad"}
 
 UNKNOWN_SD, UNKNOWN_BOUND = 0.5, 3.0  # m and rad: of an unstated pose, about the registered one
-UNKNOWN_SIZE_SD, USUAL_SIZE_SD = (
-    0.03,
-    5e-4,
-)  # of the size of a board or plate: unknown, and that of one that counts as exact
+UNKNOWN_SIZE_SD = 0.03  # share: of the size of a board or plate that nobody states
+USUAL_SIZE_SD = 5e-4  # and of one that counts as exact
 FURTHEST = 20.0  # standard deviations of what is stated at which it is a mistake
 
 
@@ -85,9 +83,7 @@ class Observation(ABC):
     in_station: ClassVar[bool] = False  # whether values are reported in the frame of the series' station
     from_outside: ClassVar[bool] = False  # whether it determines the robot's base in the measuring frame
     of_marker: ClassVar[bool] = True  # whether its values depend on where markers are on their links
-    size_setting: ClassVar[str] = (
-        ""  # the setting that states how well the size of what is measured is known, where one does
-    )
+    size_setting: ClassVar[str] = ""  # the setting, if any, of how well the size of what is measured is known
 
     @classmethod
     @abstractmethod
@@ -114,7 +110,7 @@ class Observation(ABC):
 
     def of_unknown_size(self) -> Self:
         """Return the observation as if nobody had said how large what it measures is."""
-        if not self.size_setting:
+        if not self.size_setting or (self.series.number(self.size_setting) or 0.0) >= UNKNOWN_SIZE_SD:
             return self
         settings = {**dict(self.series.settings), self.size_setting: UNKNOWN_SIZE_SD}
         return replace(self, series=replace(self.series, settings=tuple(settings.items())))
