@@ -126,6 +126,8 @@ def of_field(calibrated: CalibratedModel, conditions: np.ndarray) -> list[str]:
 def standing(calibrated: CalibratedModel) -> list[str]:
     """Return a note on the measuring frame where no external device saw the robot, and on the tool where nothing placed it."""
     robot, observed = calibrated.model.robot, calibrated.model.observations
+    if not robot.base.fixed:
+        return []
     notes = ["no device saw the robot from outside: the robot's own base stands in for the measuring frame"]
     if observed and not any(observation.of_marker for observation in observed):
         notes.append(
@@ -137,7 +139,7 @@ def standing(calibrated: CalibratedModel) -> list[str]:
             for name, marker in robot.markers.items()
             if not marker.known
         ]
-    return notes if robot.base.fixed else []
+    return notes
 
 
 @dataclass(frozen=True)

@@ -34,9 +34,7 @@ from calflow.model import Model, build, stated
 from calflow.observations import observations
 from calflow.observations.base import USUAL_SIZE_SD
 
-SIZE_ALARM = (
-    1e-3  # probability of doubting the stated size of a board or plate because of lengths in proportion by chance
-)
+SIZE_ALARM = 1e-3  # probability that a board's stated size is doubted for lengths in proportion by chance
 EQUILIBRIUM_ROWS = 2000  # rows at which the static equilibrium is checked
 
 
