@@ -112,6 +112,29 @@ def test_a_follower_is_exported_as_one(arm: Robot, sign: int) -> None:
         assert_allclose(place, there.oMf[reference.getFrameId("marker_tool")].translation, atol=1e-12)
 
 
+def test_a_note_says_what_the_variable_of_a_coupled_joint_is() -> None:
+    """Fails if the note's sum of readings, as the URDF's variable, leads elsewhere than the model: of joints with a sign."""
+    joints = [Joint(modified_dh(alpha=-np.pi / 2, a=0.3 * k), limits=(-3, 3), sign=(-1) ** k) for k in range(4)]
+    joints[3] = replace(joints[3], driven=False)
+    couplings = (Coupling(2, 1, -0.5), Coupling(4, 1, 1.0), Coupling(4, 3, -2.0))
+    robot = Robot(joints, couplings=couplings, markers={"tool": Marker((0.2, 0.1, 0.05))})
+    said = {}
+    for note in said_of_variables(robot):
+        joint, made = re.fullmatch(r"joint (\d)'s variable is (.*), which this format cannot state", note).groups()
+        terms = re.findall(r"(?:([+-][\d.]+) · )?reading (\d)", made)
+        said[int(joint)] = {int(of): float(factor or 1) for factor, of in terms}
+    assert said == {2: {2: 1.0, 1: 0.5}, 4: {1: -1.0, 3: 2.0}}
+    reference = pin.buildModelFromXML(urdf_text(rigid_chain(robot), ""))
+    model, there = build(robot, ()), reference.createData()
+    q = np.random.default_rng(6).uniform(-1, 1, (5, 3))
+    rows = Measurements.from_arrays(robot, q, None, pose=np.arange(5)).stating(()).conditions
+    for readings, place in zip(q, model.point(np.zeros(0), rows), strict=True):
+        known = dict(enumerate(readings, start=1))
+        variables = [sum(f * known[of] for of, f in said.get(i, {i: 1.0}).items()) for i in range(1, 5)]
+        pin.framesForwardKinematics(reference, there, np.array(variables))
+        assert_allclose(place, there.oMf[reference.getFrameId("marker_tool")].translation, atol=1e-12)
+
+
 def test_a_follower_goes_where_its_drives_yield() -> None:
     """Fails if rods that keep a wrist level tilt it as drives wind up: against an equilibrium in plain numpy."""
     upper, fore, out, load = 1.2, 1.0, 0.3, 80.0

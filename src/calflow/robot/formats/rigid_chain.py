@@ -105,12 +105,14 @@ def rigid_chain(robot: Robot) -> RigidChain:
 
 def said_of_variables(robot: Robot) -> list[str]:
     """Say where a chain's variable is not the joint's reading."""
-    notes = [
-        f"joint {coupling.joint}'s variable is its own angle: reading {coupling.joint} with {coupling.factor:+g} times reading "
-        f"{coupling.source}, which this format cannot state"
-        for coupling in robot.couplings
-        if _leader(robot, coupling.joint - 1, [""] * robot.n_joints) is None
-    ]
+    notes = []
+    for i, joint in enumerate(robot.joints):
+        of_others = [
+            f"{joint.sign * to.factor:+g} · reading {to.source}" for to in robot.couplings if to.joint == i + 1
+        ]
+        if of_others and _leader(robot, i, [""] * robot.n_joints) is None:
+            made = " ".join([*[f"reading {i + 1}"] * joint.driven, *of_others])
+            notes.append(f"joint {i + 1}'s variable is {made}, which this format cannot state")
     if robot.ground:
         floor = robot.ground
         notes.append(
