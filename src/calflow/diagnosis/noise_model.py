@@ -275,7 +275,7 @@ def _of_repeats(fitted: Fitted) -> ErrorSizes | None:
     if noise.scatter is None:
         return None
     beams = np.array([series.beam is not None for series in data.series])
-    usable = (noise.scatter.freedom > 0) & ~noise.scatter.gross & ~beams[data.series_number]
+    usable = (noise.scatter.freedom > 0) & ~beams[data.series_number]
     scatter, rows = noise.scatter.only(usable), np.flatnonzero(usable)
     if scatter.freedom.sum() < MIN_REPEATS:
         return None

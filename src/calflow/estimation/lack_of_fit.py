@@ -12,12 +12,13 @@ import numpy as np
 import scipy
 
 from calflow.estimation.accuracy import judged_unit
-from calflow.estimation.noise import MIN_REPEATS, NORMAL_MEDIAN, Noise, averaged, repeats_scatter, stated_noise
+from calflow.estimation.noise import MIN_REPEATS, Noise, averaged, repeats_scatter, stated_noise
 from calflow.files.tables import column
 from calflow.files.units import METRE, MeasurementUnit
 from calflow.files.words import rounded
 from calflow.measurements.measurements import Measurements
 
+NORMAL_MEDIAN = 0.6745  # median of |x| of a standard normal
 SIGNIFICANT = 0.01  # p-value below which a lack of fit is believed
 GROSS = 4.0  # robust standard deviations beyond which an error of a robust fit is an outlier
 DOUBTED = 1e-3  # p-value below which a stated noise is doubted
@@ -40,14 +41,13 @@ class Evidence:
 
     pose: number of the pose, whose rows may share errors; count: number of repeats of which a row is the mean; squared: their
     sum of squares about the mean, in units of the noise's variance; freedom: its degrees of freedom, zero where the noise is
-    stated; doubted: whether a repeat is a gross error; series: number of the series, each with its own noise.
+    stated; series: number of the series, each with its own noise.
     """
 
     pose: np.ndarray
     count: np.ndarray
     squared: np.ndarray
     freedom: np.ndarray
-    doubted: np.ndarray
     series: np.ndarray
 
     @staticmethod
@@ -57,16 +57,14 @@ class Evidence:
         nothing = np.zeros(len(data))
         repeats = np.any([noise.of_series(k) & (s == "repeats") for k, s in enumerate(noise.sources)], axis=0)
         if noise.scatter is None or not repeats.any():
-            return Evidence(pose, data.repeats, nothing, nothing, nothing > 0, data.series_number)
+            return Evidence(pose, data.repeats, nothing, nothing, data.series_number)
         single = noise.sigma * np.sqrt(data.repeats)
         return Evidence(pose, data.repeats, np.where(repeats, noise.scatter.squared / single**2, 0.0),
-                        np.where(repeats, noise.scatter.freedom, 0.0), noise.scatter.gross, data.series_number)  # fmt: skip
+                        np.where(repeats, noise.scatter.freedom, 0.0), data.series_number)  # fmt: skip
 
     def only_where(self, rows: np.ndarray) -> Evidence:
         """Return a copy that uses the repeats of the rows in a mask alone, and takes the others' noise as stated."""
-        return replace(
-            self, squared=np.where(rows, self.squared, 0.0), freedom=np.where(rows, self.freedom, 0.0), doubted=self.doubted & rows
-        )  # fmt: skip
+        return replace(self, squared=np.where(rows, self.squared, 0.0), freedom=np.where(rows, self.freedom, 0.0))
 
 
 def lack_of_fit(
@@ -103,10 +101,6 @@ def _tested(squared: np.ndarray, share: float, rows: np.ndarray, known_noise: Ev
     noise (Box and Andersen 1955), estimated from the spread over poses of both squared errors and squared scatter, so that
     neither heavy tails nor errors shared within a pose count as evidence.
     """
-    believed = ~known_noise.doubted[rows]
-    if not believed.any():
-        believed[:] = True
-    squared, rows = squared[believed], rows[believed]
     here = np.unique(rows)
     n_series = int(known_noise.series.max()) + 1
     units = np.bincount(known_noise.series[rows], minlength=n_series)
@@ -193,7 +187,7 @@ def doubts_of_repeats(data: Measurements, error: np.ndarray, believed: tuple[boo
     """Test the stated noise of each series against the repeats of its training poses; believed marks the series that use it.
 
     error (n_rows, n_axes) is the nominal robot's. The test is a two-sided chi² test whose degrees of freedom are reduced by the
-    kurtosis of the scatter; gross errors are left out.
+    kurtosis of the scatter.
     """
     train, lacks = data.only(data.train), []
     stated = stated_noise(train)
@@ -201,7 +195,7 @@ def doubts_of_repeats(data: Measurements, error: np.ndarray, believed: tuple[boo
     means, noise = averaged(train, replace(stated, scatter=scattered))
     scattered = noise.scatter or scattered
     for k, series in enumerate(data.series):
-        rows = noise.of_series(k) & (scattered.freedom > 0) & ~scattered.gross & np.isfinite(noise.sigma)
+        rows = noise.of_series(k) & (scattered.freedom > 0) & np.isfinite(noise.sigma)
         freedom = scattered.freedom[rows]
         if freedom.sum() < MIN_REPEATS:
             continue

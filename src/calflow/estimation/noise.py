@@ -1,7 +1,7 @@
 """The measurement noise of each row, and the model's discrepancy beyond it.
 
-Repeats are rows of one pose measured again under the same conditions. Their scatter about the mean estimates the device's noise
-and reveals gross errors; their means are fitted.
+Repeats are rows of one pose measured again under the same conditions. Their scatter about the mean estimates the device's noise;
+their means are fitted.
 """
 
 from __future__ import annotations
@@ -22,12 +22,6 @@ from calflow.model import Model
 from calflow.observations import leading_units
 from calflow.robot.frames import angles
 
-NORMAL_MEDIAN = 0.6745  # median of |x| of a standard normal
-FALSE_REMOVAL = 0.01  # chance that any repeat of a whole series looks gross where all are normal
-TAILS = (2.5, 3.0, 4.0, 6.0, 10.0, 30.0)  # degrees of freedom of Student's t, the alternative to gross errors
-SHARES = (0.01, 0.02, 0.05, 0.1, 0.2)  # shares of rows with gross errors, in a mixture of two normals
-TIMES = (5.0, 10.0, 20.0, 40.0, 100.0)  # ratios of their standard deviation to that of the others
-CLEARLY = 5.0  # gain in log-likelihood by which gross errors must explain the scatter better than heavy tails
 # Share of a usual device's noise: repeats that scatter less are one reading written twice, and no robot's residuals are smaller.
 LEAST_SCATTER = 1e-3
 MIN_REPEATS = 10  # degrees of freedom below which repeats determine the noise too poorly
@@ -43,26 +37,18 @@ def members(group: np.ndarray) -> list[np.ndarray]:
 
 @dataclass(frozen=True, eq=False)
 class Scatter:
-    """Scatter of repeats about their means, gross errors left out.
-
-    squared (n_rows,) [unit²]: each row's sum of squares; freedom (n_rows,): its degrees of freedom; gross (n_rows,): whether the
-    row is a gross error, whose squared and freedom are 0.
-    """
+    """Scatter of repeats about their means: each row's sum of squares (n_rows,) [unit²] and its degrees of freedom (n_rows,)."""
 
     squared: np.ndarray
     freedom: np.ndarray
-    gross: np.ndarray
 
     def only(self, rows: np.ndarray) -> Scatter:
         """Return the scatter of a subset of rows, given by a mask or by indices."""
-        return Scatter(self.squared[rows], self.freedom[rows], self.gross[rows])
+        return Scatter(self.squared[rows], self.freedom[rows])
 
     def gathered(self, group: np.ndarray) -> Scatter:
         """Return the scatter summed over groups of rows, numbered from 0 by group (n_rows,)."""
-        squared, freedom, gross = (
-            np.bincount(group, weights=values) for values in (self.squared, self.freedom, self.gross)
-        )
-        return Scatter(squared, freedom, gross > 0)
+        return Scatter(np.bincount(group, weights=self.squared), np.bincount(group, weights=self.freedom))
 
     @property
     def sigma(self) -> float:
@@ -70,88 +56,14 @@ class Scatter:
         return float(np.sqrt(self.squared.sum() / self.freedom.sum())) if self.freedom.sum() else float("nan")
 
 
-def scatter(error: np.ndarray, group: np.ndarray, session: np.ndarray | str = "") -> Scatter:
-    """Return the scatter of errors (n_rows, n_axes), of one unit, about the means of their groups, numbered from 0.
+def deviations(error: np.ndarray, group: np.ndarray, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return each row's deviation (n_rows, n_axes) from the mean of its group's kept rows, and their number (n_rows,).
 
-    For normal scatter its sigma is the classical pooled estimate. Rows so far out that normal noise would show one in a hundred
-    series only are left out, if gross errors explain them clearly better than heavy tails, which belong to the noise. Of two
-    repeats that contradict each other both are left out. A session (n_rows,) of which all repeats scatter more has no gross errors
-    for that.
+    group (n_rows,) numbers the groups from 0; kept (n_rows,) is a mask.
     """
-    n, axes = error.shape
-    kept = np.ones(n, dtype=bool)
-    apart, count = _deviations(error, group, kept)
-    several = count[group] > 1
-    if not several.any():
-        return Scatter(np.zeros(n), np.zeros(n), ~kept)
-    spread = np.sqrt(1 - 1 / np.maximum(count, 2))[group]
-    size = np.abs(apart) / spread[:, None]
-    middle = np.full(n, np.median(size[several]))
-    for name in np.unique(session):
-        own = several & (session == name)
-        if own.sum() >= MIN_REPEATS:
-            middle[own] = np.maximum(middle[own], np.median(size[own]))
-    limit = np.sqrt(2 * scipy.special.gammainccinv(axes / 2, FALSE_REMOVAL / n)) * middle / NORMAL_MEDIAN
-    while limit.all():
-        apart, count = _deviations(error, group, kept)
-        size = np.where(kept & (count[group] > 1), np.sqrt((apart**2).sum(axis=1)), 0.0)
-        size /= np.sqrt(1 - 1 / np.maximum(count, 2))[group]
-        wild = np.unique(group[size > limit])
-        if not len(wild):
-            break
-        together = members(group)
-        for k in wild:
-            kept_rows = together[k][kept[together[k]]]
-            far = np.linalg.norm(error[kept_rows] - np.median(error[kept_rows], axis=0), axis=1)
-            kept[kept_rows if len(kept_rows) == 2 else kept_rows[np.argmax(far)]] = False
-    if not kept.all() and not _gross_errors_likelier(error / middle[:, None], group, kept):
-        kept[:] = True
-    apart, count = _deviations(error, group, kept)
-    freedom = axes * (1 - 1 / np.maximum(count, 1))[group]
-    return Scatter(np.where(kept, (apart**2).sum(axis=1), 0.0), np.where(kept, freedom, 0.0), ~kept)
-
-
-def _deviations(error: np.ndarray, group: np.ndarray, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return each row's deviation (n_rows, n_axes) from the mean of its group's kept rows, and their number by group."""
-    size = int(group.max()) + 1
-    count = np.bincount(group, weights=kept, minlength=size)
-    sums = np.stack([np.bincount(group, weights=axis * kept, minlength=size) for axis in error.T], axis=1)
-    return error - (sums / np.maximum(count, 1)[:, None])[group], count
-
-
-def _gross_errors_likelier(error: np.ndarray, group: np.ndarray, kept: np.ndarray) -> bool:
-    """Whether gross errors of some rows explain the scatter clearly better than heavy tails of all (Student's t)."""
-    apart, count = _deviations(error, group, kept)
-    here = count[group]
-    believed, doubted, alone = kept & (here > 1), ~kept & (here > 0), np.unique(group[~kept & (here == 0)])
-    together = members(group) if len(alone) else []
-    # Without rows to believe, no scale is left to judge the doubted ones by.
-    if not believed.any():
-        return False
-    value = np.concatenate([
-        apart[believed] / np.sqrt(1 - 1 / here[believed])[:, None],
-        apart[doubted] / np.sqrt(1 + 1 / here[doubted])[:, None],
-        *(np.diff(error[together[k]], axis=0) / np.sqrt(2) for k in alone),
-    ])  # fmt: skip
-    weight = np.ones(len(value))
-    weight[: believed.sum()] = 1 - 1 / here[believed]
-    scale = float(np.median(np.abs(value))) / NORMAL_MEDIAN
-
-    def tailed(degrees: float) -> float:
-        def cost(log_s: float) -> float:
-            s = np.exp(log_s)
-            return -float(weight @ (scipy.stats.t.logpdf(value / s, degrees) - log_s).sum(axis=1))
-
-        return -float(scipy.optimize.minimize_scalar(cost, bracket=(np.log(scale) - 0.5, np.log(scale))).fun)
-
-    sigma = float(np.sqrt(np.average((value[: believed.sum()] ** 2).mean(axis=1), weights=weight[: believed.sum()])))
-    normal = scipy.stats.norm.logpdf(value, scale=sigma).sum(axis=1)
-    mixed = max(
-        float(weight @ np.logaddexp(np.log(1 - share) + normal,
-                                    np.log(share) + scipy.stats.norm.logpdf(value, scale=times * sigma).sum(axis=1)))
-        for share in SHARES for times in TIMES
-    )  # fmt: skip
-    return mixed > max(tailed(degrees) for degrees in TAILS) + CLEARLY
+    count = np.bincount(group, weights=kept)
+    sums = np.stack([np.bincount(group, weights=axis * kept) for axis in error.T], axis=1)
+    return error - (sums / np.maximum(count, 1)[:, None])[group], count[group]
 
 
 Source = Literal["repeats", "file", "estimated"]
@@ -303,8 +215,8 @@ def measured_noise(data: Measurements, source: NoiseSource = "auto", nominal: Mo
     """Return the noise of each series from the best available source, or from the requested one.
 
     Repeats are pooled over training poses: sigma² is the sum of squares about each pose's mean over its degrees of
-    freedom, after subtraction of the nominal prediction, so that joint readings may differ between repeats. Gross errors
-    are left out (see `scatter`). nominal is the nominal robot with the data's observations.
+    freedom, after subtraction of the nominal prediction, so that joint readings may differ between repeats. nominal is the
+    nominal robot with the data's observations.
 
     Raises:
         InputError: the source asked for is not in the data.
@@ -432,14 +344,8 @@ def _of_standstill(data: Measurements) -> list[str]:
 
 
 def repeats_scatter(data: Measurements, error: np.ndarray) -> Scatter:
-    """Return the scatter of repeats by their `leading_errors` (n_rows, n_axes), in each split; rows of no split have none."""
-    every = Scatter(np.zeros(len(data)), np.zeros(len(data)), np.zeros(len(data), dtype=bool))
-    for k in range(len(data.series)):
-        for split in (data.train, data.held_out):
-            rows = data.of_series(k) & split
-            if rows.any():
-                there = ~np.isnan(error[rows]).all(axis=0)
-                group = np.unique(conditions(data.only(rows)), return_inverse=True)[1]
-                part = scatter(error[rows][:, there], group, data.session[rows])
-                every.squared[rows], every.freedom[rows], every.gross[rows] = part.squared, part.freedom, part.gross
-    return every
+    """Return the scatter of repeats by their `leading_errors` (n_rows, n_axes); rows of no split have none."""
+    used = data.train | data.held_out
+    apart, count = deviations(np.nan_to_num(error), conditions(data), used)
+    freedom = (~np.isnan(error)).sum(axis=1) * (1 - 1 / np.maximum(count, 1))
+    return Scatter(np.where(used, (apart**2).sum(axis=1), 0.0), np.where(used, freedom, 0.0))

@@ -17,6 +17,7 @@ from calflow.faults.measured_torque import measured_torque
 from calflow.faults.mended_rows import exchanged, unit_mistake
 from calflow.faults.outlier import gross_rows, is_position, outlier
 from calflow.faults.reference import Reference
+from calflow.faults.repeats import odd_repeats
 from calflow.faults.row_misalignment import lost_rows, row_misalignment
 from calflow.faults.setup import Setup
 from calflow.faults.setup_search import setup_faults
@@ -77,8 +78,13 @@ def _searched(data: Measurements) -> tuple[Measurements, tuple[Fault, ...], Setu
         detected, setup = _of_positions(data.only(positions))
         faults += (moved := [fault.in_all_rows(np.flatnonzero(positions)) for fault in detected])
         data = reduce(correct, moved, data)
-    gross = () if positions.all() else gross_rows(data, ~positions)
-    return reduce(correct, gross, data), (*faults, *gross), setup
+    if not positions.all():
+        faults += (gross := gross_rows(data, ~positions))
+        data = reduce(correct, gross, data)
+    if not any(fault.action == "unsettled" for fault in faults):
+        faults += (repeats := odd_repeats(data))
+        data = reduce(correct, repeats, data)
+    return data, tuple(faults), setup
 
 
 def _of_positions(data: Measurements) -> tuple[list[Fault], Setup]:

@@ -24,7 +24,7 @@ from calflow.faults.base import Correction, Fault, correct, fault, faulty_rows
 from calflow.faults.mistake import LENGTH_UNITS
 from calflow.faults.photographed import mistake_in_images
 from calflow.faults.reference import EQUATIONS, Reference
-from calflow.faults.rough import FAR_BETTER, GROSS, LEAST_GROSS, RobustFit
+from calflow.faults.rough import FAR_BETTER, GROSS, LEAST_GROSS
 from calflow.files.problems import refuse
 from calflow.files.units import METRE, MeasurementUnit
 from calflow.files.words import rounded
@@ -68,9 +68,9 @@ def outlier(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
     error = data.position - fit.predicted(data.conditions)
     if not (used & (reference.miss > fit.gross)).any():
         return ()
-    off = used & (reference.miss > limit_of(reference.miss[used], fit.scale, fit.gross))
-    off &= ~clustered(data, error, off)
-    if not 0 < off.sum() <= MAX_OUTLIER_SHARE * used.sum() or _along_one_joint(data, fit, error, np.flatnonzero(off)):
+    far = reference.miss > limit_of(reference.miss[used], fit.scale, fit.gross)
+    off = of_no_cause(data, error, far, used, lambda joint, rows: fit.moved(data.conditions[:, rows], joint, SMALL))
+    if not off.any():
         return ()
     usual = float(np.median(reference.miss[used]))
     return (_excluded(data, off, "the position in LINES", np.linalg.norm(error[off], axis=1), usual, METRE),)
@@ -101,18 +101,37 @@ def clustered(data: Measurements, error: np.ndarray, off: np.ndarray) -> np.ndar
     return groups
 
 
-def _along_one_joint(data: Measurements, fit: RobustFit, error: np.ndarray, rows: np.ndarray) -> bool:
+def of_no_cause(
+    data: Measurements,
+    error: np.ndarray,
+    far: np.ndarray,
+    used: np.ndarray,
+    moved: Callable[[int, np.ndarray], np.ndarray],
+) -> np.ndarray:
+    """Return which of the rows that are far off (n_rows,) are outliers: few of those used, in no cluster, along no one joint.
+
+    error (n_rows, n_axes): by how much; moved: returns the change of rows' errors by a small step of a joint (from 0).
+    """
+    off = far & used
+    off &= ~clustered(data, error, off)
+    few = off.sum() <= MAX_OUTLIER_SHARE * used.sum()
+    return off & (few and not _along_one_joint(data, moved, error, np.flatnonzero(off)))
+
+
+def _along_one_joint(
+    data: Measurements, moved: Callable[[int, np.ndarray], np.ndarray], error: np.ndarray, rows: np.ndarray
+) -> bool:
     """Return whether nearly all these rows have errors in the direction of motion of one joint.
 
-    Of few poses, the joint must also stand nearly alike: a chipped tooth shows there alone, each time.
+    Of few poses, the joint must also stand nearly alike: a chipped tooth shows there alone, each time. Lengths have no direction.
     """
     poses = len(data.table["pose"].iloc[rows].unique())
-    if poses < FEWEST:
+    if poses < FEWEST or not error[rows, 1:].any():
         return False
     wrong = error[rows] / np.linalg.norm(error[rows], axis=1, keepdims=True)
     for joint in range(data.robot.n_joints):
-        moved = fit.moved(data.conditions[:, rows], joint, SMALL)
-        along = np.abs((moved * wrong).sum(axis=1)) > ALONG * np.linalg.norm(moved, axis=1)
+        by = moved(joint, rows)
+        along = np.abs((by * wrong).sum(axis=1)) > ALONG * np.linalg.norm(by, axis=1)
         spread = np.ptp(data.joint_angles[rows, joint]) / max(np.ptp(data.joint_angles[:, joint]), SMALL)
         if along.mean() >= SHARE and (poses >= RUN or spread < NEARBY):
             return True
@@ -239,7 +258,7 @@ def _excluded(
 ) -> Fault:
     """Return the fault of rows off (n_rows,) with errors far (n_off,), given the usual error."""
     statement = (
-        f"{what} is {_range(unit.shown(far))} {unit.label} off from the fit of all other rows, whose median error is "
+        f"{what} is {in_range(unit.shown(far))} {unit.label} off from the fit of all other rows, whose median error is "
         f"{unit.words(usual, '.2g')}; left out; measure again or correct the file"
     )
     return faulty_rows("outlier", data, np.flatnonzero(off), "left out", statement)
@@ -318,14 +337,14 @@ def odd_rows(result: Fit, data: Measurements, studentised: Studentised) -> tuple
         return np.zeros(len(data), dtype=bool), ()
     far, times = distances(error), studentised.whitened[odd]
     leading = np.array([observation.units[0] for observation in result.model.observations])[data.series_number]
-    off = [f"{_range(unit.shown(far[odd & (leading == unit)]))} {unit.label}" for unit in dict.fromkeys(leading[odd])]
+    off = [f"{in_range(unit.shown(far[odd & (leading == unit)]))} {unit.label}" for unit in dict.fromkeys(leading[odd])]
     statement = (
-        f"the measured values in LINES do not fit the final model: off by {' or '.join(off)}, {_range(times, 2)} times the "
+        f"the measured values in LINES do not fit the final model: off by {' or '.join(off)}, {in_range(times, 2)} times the "
         "expected; they have little weight in the fit, but count in the accuracy: measure again"
     )
     return odd, (faulty_rows("outlier", data, np.flatnonzero(odd), "told", statement),)
 
 
-def _range(values: np.ndarray, digits: int = 3) -> str:
+def in_range(values: np.ndarray, digits: int = 3) -> str:
     """Return the range of values (n,) in words."""
     return " to ".join(dict.fromkeys(rounded(float(end), digits) for end in (values.min(), values.max())))
