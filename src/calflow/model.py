@@ -333,6 +333,11 @@ class Model:
         return self if later == self.effects else replace(self, effects=later)
 
     @property
+    def tool_unseen(self) -> bool:
+        """Whether it is measured by what does not depend on where markers are: by images alone."""
+        return bool(self.observations) and not any(observation.of_marker for observation in self.observations)
+
+    @property
     def by_session(self) -> bool:
         """Whether sessions have frames of their own, as the study says of a station or as was found: a further one's is unknown.
 
@@ -619,7 +624,8 @@ def build(
     every = (
         replace(effect, robot=robot) if isinstance(effect, Effect) else _class(effect)(robot) for effect in effects
     )
-    return Model(robot, tuple(every), given, observations)
+    model = Model(robot, tuple(every), given, observations)
+    return replace(model, effects=tuple(effect.unseen() for effect in model.effects)) if model.tool_unseen else model
 
 
 def stated(
@@ -630,8 +636,6 @@ def stated(
 ) -> Model:
     """Return the model of a robot with effects given by id, class or object, in the variants that a study means for the rows."""
     forms = [effect if isinstance(effect, Effect) else _class(effect).stated(robot, data) for effect in effects]
-    if observations and not any(observation.of_marker for observation in observations):
-        forms = [form.unseen() for form in forms]
     return build(robot, forms, data.given, observations)
 
 

@@ -381,3 +381,36 @@ def test_planned_poses_show_the_whole_board(tmp_path):
         assert ((there[:, 2] > 0.25) & (there[:, 2] < 0.7)).all()
         image = 1150 * there[:, :2] / there[:, 2:] + (640, 480)
         assert ((image > 0) & (image < SIZE)).all()
+
+
+def test_a_plan_of_images_counts_no_error_that_teaching_the_tool_removes(tmp_path):
+    """Fails if a tool that no image shows counts as off, a second one is offered, or an image shows less than the whole board."""
+    from calflow.design.planned import Planned, SelectionRequest, Task
+    from calflow.design.selection import select
+    from calflow.model import build
+
+    said = library_file("ur5e").replace("known = false                   # false: est", "known = true  # est")
+    robot = Robot.from_toml(write(tmp_path / "robot.toml", said))
+    places = {"camera_on": "tool", "target_on": "world", "size": (1280.0, 960.0), "focal": (1150.0, 1150.0),
+              "centre": (640.0, 480.0), "camera_origin": (0.03, -0.07, 0.06), "camera_rotation": (0.0, 0.0, 1.6),
+              "target_origin": (-0.45, 0.12, 0.02), "target_rotation": (np.pi, 0.0, 0.5), "target_size": (0.21, 0.15)}  # fmt: skip
+    camera = Camera.planned(Series.of("", "camera", places))
+    model = build(robot, ("geometry",), (), (camera,))
+    there = np.random.default_rng(3).uniform(-1.5, 1.5, (60, 6))
+    asked = SelectionRequest(
+        number=20, candidates=100, marker="tool", planned=Planned(camera, 0.2), task=Task.of(there, [""], "tool")
+    )
+    plan = select(model, asked)
+    corners = np.array([(0, 0, 0), (0.21, 0, 0), (0, 0.15, 0), (0.21, 0.15, 0)]).T
+    every = np.repeat(asked.rows(model, plan.readings), 4, axis=1)
+    reported = np.vstack([np.zeros((2, 80)), np.tile(corners, 20), np.ones((2, 80))])
+    rows = model.observed_jacobian(camera, model.nominal, every, reported).reshape(-1, len(model.parameters))
+    rows *= model.prior_sd / 0.2
+    root = np.linalg.cholesky(np.linalg.inv(rows.T @ rows + np.eye(rows.shape[1])))
+    moved = model.point_jacobian(model.nominal, asked.rows(model, there)) * model.prior_sd @ root
+    turned = UR5E.links(there)[-1][:, :3, :3].reshape(-1, 3)
+    flat = moved.reshape(len(turned), -1)
+    left = flat - turned @ np.linalg.lstsq(turned, flat, rcond=None)[0]
+    assert plan.how_many.expected_sd_mm == pytest.approx(1e3 * np.sqrt((left**2).sum() / len(there)), rel=1e-6)
+    assert plan.how_many.expected_sd_mm < 0.5
+    assert not any("marker" in row.addition for row in plan.worth)

@@ -125,11 +125,11 @@ def of_field(calibrated: CalibratedModel, conditions: np.ndarray) -> list[str]:
 
 def standing(calibrated: CalibratedModel) -> list[str]:
     """Return a note on the measuring frame where no external device saw the robot, and on the tool where nothing placed it."""
-    robot, observed = calibrated.model.robot, calibrated.model.observations
+    robot = calibrated.model.robot
     if not robot.base.fixed:
         return []
     notes = ["no device saw the robot from outside: the robot's own base stands in for the measuring frame"]
-    if observed and not any(observation.of_marker for observation in observed):
+    if calibrated.model.tool_unseen:
         notes.append(
             "images tell neither where the robot stands nor how flange and tool sit on its last link: that is in the standard "
             "deviations; once base and tool are taught, expect the error over the joints' ranges that the run states (in_space.csv)"

@@ -58,18 +58,19 @@ class Planned:
         return Planned(observation, sizes[observation.units[0]], PerUnit(tuple(sizes.items())))
 
     def whitened(self, model: Model, p: np.ndarray, conditions: np.ndarray) -> np.ndarray:
-        """Return the whitened Jacobian (n_rows, n_units, n_parameters) of packed conditions (n_conditions, n_rows) at p.
+        """Return the whitened Jacobian (n_poses, n_values, n_parameters) of packed conditions (n_conditions, n_poses) at p.
 
         The model's observations hold the planned one.
         """
         (block,) = self.problem(model, p, conditions).blocks
-        return block.linearised(p)[1]
+        return block.linearised(p)[1].reshape(conditions.shape[1], -1, len(p))
 
     def problem(self, model: Model, p: np.ndarray, conditions: np.ndarray) -> LeastSquares:
-        """Return the least squares problem of packed conditions (n_conditions, n_rows) with the predictions at p.
+        """Return the least squares problem of packed conditions (n_conditions, n_poses) with the predictions at p.
 
-        The model's observations hold the planned one.
+        Every pose has a row for each point that the device sees there. The model's observations hold the planned one.
         """
+        conditions = np.repeat(conditions, self.observation.n_seen, axis=1)
         reported = self.observation.expected(model.point(p, conditions), model.rotation(p, conditions))
         sigma = np.tile(self.sd[:, None], conditions.shape[1])
         every = np.arange(conditions.shape[1])
@@ -125,10 +126,21 @@ class Task:
         return Task(np.tile(readings, (len(payloads), 1)), np.repeat(payloads, len(readings)), marker)
 
     def criterion(self, model: Model) -> ToolError:
-        """Return the tool's error over the task, of a model whose parameters are scaled by their priors."""
+        """Return the tool's error over the task, of a model whose parameters are scaled by their priors.
+
+        Where only images are planned, without the part that teaching the tool removes, which no image shows.
+        """
         conditions = packed_conditions(model, self.readings, self.payloads, self.marker)
         slopes = model.point_jacobian(model.nominal, conditions) * model.prior_sd
+        if model.tool_unseen:
+            taught, flat = by_tool(model, model.nominal, conditions), slopes.reshape(-1, slopes.shape[2])
+            slopes = (flat - taught @ (taught.T @ flat)).reshape(slopes.shape)
         return ToolError(slopes, np.full(len(slopes), 1 / len(slopes)))
+
+
+def by_tool(model: Model, p: np.ndarray, conditions: np.ndarray) -> np.ndarray:
+    """Return an orthonormal basis (3 n_rows, 3) of displacements of the rows' points by the tool's place on the flange."""
+    return np.asarray(np.linalg.qr(model.rotation(p, conditions).reshape(-1, 3))[0])
 
 
 def _table_of(shape: str, height: int | None = None, width: int | None = None) -> PlainValidator:

@@ -16,7 +16,7 @@ import numpy as np
 import scipy
 
 from calflow.design.discrimination import rows_like
-from calflow.design.planned import Measure, Planned, Task
+from calflow.design.planned import Measure, Planned, Task, by_tool
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import Catalogue, by_place, place_probabilities
 from calflow.diagnosis.trial import Linearisation
@@ -116,8 +116,8 @@ class TaskSlopes:
     def taught(self) -> np.ndarray:
         """Orthonormal displacements (3 n_points, n) by coordinates of the tool point that the data do not determine."""
         fit, markers, model = self.fitted.fit, self.fitted.data.robot.markers, self.fitted.model
-        if not any(observation.of_marker for observation in model.observations):
-            return np.asarray(np.linalg.qr(model.rotation(fit.estimate, self.conditions).reshape(-1, 3))[0])
+        if model.tool_unseen:
+            return by_tool(model, fit.estimate, self.conditions)
         unknown = [
             k
             for k, (parameter, variance) in enumerate(zip(fit.model.parameters, np.diag(fit.covariance), strict=True))

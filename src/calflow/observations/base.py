@@ -121,6 +121,11 @@ class Observation(ABC):
         return self.parameters()
 
     @property
+    def n_seen(self) -> int:
+        """Number of points of what is observed that a pose to be planned shows, each a row (`expected`)."""
+        return 1
+
+    @property
     @abstractmethod
     def reports(self) -> int:
         """Number of values per row in `reported`."""

@@ -454,6 +454,11 @@ class Camera(Observation):
             targets=tuple(replace(target, place=place) for target, place in zip(self.targets, at[n:], strict=True)),
         )
 
+    @property
+    def n_seen(self) -> int:
+        """Number of a target's outermost points."""
+        return len(self.targets[0].points)
+
     def expected(self, points: np.ndarray, rotations: np.ndarray) -> np.ndarray:
         """Return one of a target's outermost points after the other, shown nowhere: poses are planned by derivatives."""
         local = np.array(self.targets[0].points)[np.arange(len(points)) % len(self.targets[0].points)]

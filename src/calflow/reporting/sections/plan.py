@@ -214,7 +214,8 @@ def _next_things(how_many: HowMany, worth: list[Worth]) -> list[Item]:
     return [
         *items,
         "Check the moves from pose to pose in simulation, then measure select/poses.csv in its order.",
-        "Fill in x_mm, y_mm and z_mm: the file is then a measurement file, and the study can be run.",
+        "Fill in what the device reports (a tracker x_mm, y_mm and z_mm): the file is then a measurement file, and the study can "
+        "be run. From images calflow detect writes one: --joints takes the poses with a column image.",
     ]
 
 
