@@ -414,3 +414,28 @@ def test_a_plan_of_images_counts_no_error_that_teaching_the_tool_removes(tmp_pat
     assert plan.how_many.expected_sd_mm == pytest.approx(1e3 * np.sqrt((left**2).sum() / len(there)), rel=1e-6)
     assert plan.how_many.expected_sd_mm < 0.5
     assert not any("marker" in row.addition for row in plan.worth)
+
+
+def test_a_task_is_promised_what_teaching_the_tool_leaves(tmp_path):
+    """Fails if poses near a task are asked for since no image shows the tool, or more than the tool's own place is taught."""
+    from calflow.sampling.task_points import TaskTolerances, point_errors, task_summary, task_table, taught
+
+    data = study(
+        tmp_path, photographed(UR5E, True, 24, np.random.default_rng(5), points=COARSE), "ur5e", True
+    ).measurements()
+    found = cf.identify(data.robot, data, ["geometry"])
+    drawn, fitted = found.sample(ess=200), data.only(data.train)
+    task = fitted.only(~fitted.table.duplicated("pose").to_numpy())
+    places = taught(found, task, fitted)
+    with_tool, left = (
+        point_errors(drawn, found, task.conditions, np.random.default_rng(1), places=of) for of in ((), places)
+    )
+    assert with_tool.expected[0].min() > 1e-3 > 5 * left.expected[0].max()
+    axes = found.model.rotation(found.estimate, task.conditions)
+    own = [np.einsum("nji,dnj->dni", axes, errors.drawn[0]) for errors in (with_tool, left)]
+    np.testing.assert_allclose(own[1], own[0] - own[0].mean(axis=1, keepdims=True), atol=1e-12)
+    np.testing.assert_allclose(left.drawn[1].mean(axis=1), 0.0, atol=1e-12)
+    asked = TaskTolerances(tolerance=3e-4, turn_tolerance=5e-4)
+    told = task_summary(found, task_table(found, task, fitted, left, asked, places), left, asked, ())
+    assert told.likely_points == told.points
+    assert told.orientation_measured

@@ -1,17 +1,18 @@
 """The points of a task: distribution of the robot's error relative to its model at each point, by posterior draws.
 
 Draws of the parameters and of rival causes are propagated through the model; to each is added a draw of the model discrepancy, with
-the size that the fit estimated for new poses.
+the size that the fit estimated for new poses. Images alone show no tool: then errors are those that are left once it is taught at
+the measured poses, that is, without their mean there in the tool's own axes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calflow.estimation.calibrated_model import CalibratedModel, Quantity
+from calflow.estimation.calibrated_model import CalibratedModel, Quantity, points_at
 from calflow.estimation.error_model import of_parameters
 from calflow.estimation.extrapolation import beyond
 from calflow.files.deferred import pd
@@ -22,6 +23,10 @@ from calflow.observations.pose import Pose
 from calflow.sampling.posterior import Posterior, shifts
 
 Slope = Callable[[Model, np.ndarray, np.ndarray], np.ndarray]  # (model, estimate, packed rows) -> Jacobian
+At = Callable[[np.ndarray], np.ndarray]  # packed rows -> errors (n_draws, n_rows, 3), or axes (n_rows, 3, 3)
+Taught = Sequence[
+    tuple[np.ndarray, np.ndarray]
+]  # of each marker, its points in the task and packed rows at which it is taught
 TASK_DRAWS = 1000
 PROMISED_SHARE = 0.95  # probability of the stated radius
 LIKELY = 0.95  # least probability for a point to count as within tolerance
@@ -84,12 +89,37 @@ class PointErrors:
         return int((self.within(asked).mean(axis=0) >= LIKELY).sum()) if asked.anything else None
 
 
+def taught(calibrated: CalibratedModel, task: Measurements, measured: Measurements) -> Taught:
+    """Return where each marker of a task is taught: at the measured poses, where images alone were measured; else nowhere."""
+    if not calibrated.model.tool_unseen:
+        return ()
+    poses = measured.table.drop_duplicates(["pose", "payload"])
+    markers = task.table["marker"].to_numpy()
+    return [
+        (
+            np.flatnonzero(markers == marker),
+            replace(measured, table=poses.assign(marker=marker)).stating(calibrated.model.given).conditions,
+        )
+        for marker in dict.fromkeys(markers)
+    ]
+
+
+def _untaught(errors: At, axes: At, conditions: np.ndarray, places: Taught) -> np.ndarray:
+    """Return errors (n_draws, n_points, 3) at packed rows without their mean, in the tool's axes, where it is taught."""
+    here, turned = errors(conditions), axes(conditions) if places else np.zeros(0)
+    for points, rows in places:
+        mean = np.einsum("nji,dnj->di", axes(rows), errors(rows)) / rows.shape[1]
+        here[:, points] -= np.einsum("nij,dj->dni", turned[points], mean)
+    return here
+
+
 def point_errors(
     posterior: Posterior,
     calibrated: CalibratedModel,
     conditions: np.ndarray,
     rng: np.random.Generator,
     widened: float = 0.0,
+    places: Taught = (),
 ) -> PointErrors:
     """Return draws of the robot's errors at a task's points, relative to the fitted model.
 
@@ -100,25 +130,35 @@ def point_errors(
         conditions: packed conditions (n_conditions, n_points).
         rng: random numbers.
         widened: further variance of positions [m²].
+        places: where the tool is taught, if nothing measured shows it.
     """
     lean = posterior.calibrated.later(calibrated.model.given)
     draws, acts = posterior.drawn(TASK_DRAWS, rng)
     factor = np.exp(2 * draws[:, -1])[:, None, None]  # of the noise's variance
 
-    def errors(quantity: Quantity, slope: Slope, left: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        here = quantity(lean.model, lean.estimate)
-        off = np.array([quantity(lean.model, draw) for draw in draws[:, :-1]]) - here + shifts(lean, acts, quantity)
+    def errors(
+        quantity_at: Callable[[np.ndarray], Quantity], axes: At, slope: Slope, left: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        def drawn(rows: np.ndarray) -> np.ndarray:
+            quantity = quantity_at(rows)
+            here = quantity(lean.model, lean.estimate)
+            off = np.array([quantity(lean.model, draw) for draw in draws[:, :-1]]) - here
+            return np.asarray(off + shifts(lean, acts, quantity))
+
+        off = _untaught(drawn, axes, conditions, places)
         size = np.sqrt(left + _held(calibrated, lean, conditions, slope))
         alike = rng.standard_normal((len(off), 1, 3))
         return off, size * rng.standard_normal(off.shape), size * alike
 
     position = errors(
-        lambda model, p: model.point(p, conditions),
+        points_at,
+        lambda rows: lean.model.rotation(lean.estimate, rows),
         Model.point_jacobian,
         factor * calibrated.left_variance(conditions) + widened,
     )
     turn = errors(
-        _turn_from(calibrated, conditions),
+        lambda rows: _turn_from(calibrated, rows),
+        lambda rows: np.tile(np.eye(3), (rows.shape[1], 1, 1)),
         Model.rotation_jacobian,
         factor * calibrated.rotation_variances(conditions)[1],
     )
@@ -203,18 +243,27 @@ class TaskSummary:
 
 
 def task_table(
-    calibrated: CalibratedModel, task: Measurements, measured: Measurements, errors: PointErrors, asked: TaskTolerances
+    calibrated: CalibratedModel,
+    task: Measurements,
+    measured: Measurements,
+    errors: PointErrors,
+    asked: TaskTolerances,
+    places: Taught = (),
 ) -> pd.DataFrame:
-    """Return a table with one row (`TaskPoint`) per point of the task; measured are the fitted rows."""
-    place = calibrated.expected_point(task.conditions)
-    nominal = calibrated.model.point(calibrated.model.nominal, task.conditions)
+    """Return a table with one row (`TaskPoint`) per point of the task; measured: the fitted rows; places: see `point_errors`."""
+    model, place = calibrated.model, calibrated.expected_point(task.conditions)
+
+    def nominal(rows: np.ndarray) -> np.ndarray:
+        return (model.point(model.nominal, rows) - calibrated.expected_point(rows))[None]
+
+    (off,) = _untaught(nominal, lambda rows: model.rotation(model.nominal, rows), task.conditions, places)
     within = errors.within(asked).mean(axis=0) if asked.anything else np.nan
     (sd, sd_turn), (expected, turn), (radius, turn95) = errors.sd, errors.expected, errors.radius
     by_axis = [("{}_mm", place), ("sd_{}_mm", sd), ("sd_turn_{}_mrad", sd_turn)]
     table = task.table[["payload", "marker"]].assign(
         point=task.table["pose"],
         **{name.format(axis): 1e3 * values[:, k] for name, values in by_axis for k, axis in enumerate("xyz")},
-        nominal_mm=1e3 * np.linalg.norm(nominal - place, axis=1),
+        nominal_mm=1e3 * np.linalg.norm(off, axis=1),
         expected_mm=1e3 * expected, radius95_mm=1e3 * radius, turn_mrad=1e3 * turn, turn95_mrad=1e3 * turn95,
         within=within, beyond=_unmeasured(task, measured),
     )  # fmt: skip
@@ -236,7 +285,8 @@ def task_summary(
         worst_radius95_mm=table["radius95_mm"].max(), worst_turn95_mrad=table["turn95_mrad"].max(),
         likely_points=errors.likely(asked), likely_positions=errors.likely(replace(asked, turn_tolerance=None)),
         likely_turns=errors.likely(replace(asked, tolerance=None)),
-        orientation_measured=any(isinstance(seen, Pose) for seen in calibrated.model.observations),
+        orientation_measured=calibrated.model.tool_unseen
+        or any(isinstance(seen, Pose) for seen in calibrated.model.observations),
         least_within=float(table["within"].min()) if asked.anything else None,
         all_within=together[0], all_within_alike=together[1],
         beyond_measured=int((table["beyond"] != "").sum()), notes=notes,

@@ -24,7 +24,15 @@ from calflow.model import Model, build, stated
 from calflow.observations import observations
 from calflow.sampling.posterior import DRAWS_KEPT, ChainSummary, Posterior, PosteriorRow, PredictedError
 from calflow.sampling.sample import sample, too_few_walkers
-from calflow.sampling.task_points import TaskPoint, TaskSummary, TaskTolerances, point_errors, task_summary, task_table
+from calflow.sampling.task_points import (
+    TaskPoint,
+    TaskSummary,
+    TaskTolerances,
+    point_errors,
+    task_summary,
+    task_table,
+    taught,
+)
 from calflow.stages.demand import BYTES, Demand
 from calflow.stages.settings import SampleSettings, WorkSettings
 from calflow.stages.stage import Context, Stage
@@ -33,6 +41,7 @@ from calflow.study import Study
 # Measured: steps until a chain is long enough; seconds per number of the Jacobian of a walker's residuals; simultaneous
 # copies of all draws' predictions, and of the chain.
 STEPS_FORESEEN, SECONDS, COPIES, CHAINS = 250, 1.4e-8, 5.0, 6.0
+TAUGHT = "no image shows the tool: these are its errors once it is taught on the flange at poses like the measured ones"
 REMEDY = "keep fewer poses in the file, or leave the stage out: with so many rows, identify/covariance.csv says as much as a chain"
 
 
@@ -67,11 +76,13 @@ def _task(
         calibration.model.robot
     )
     stated = as_stated(calibration, task, "widen")
+    places = taught(stated.calibrated, stated.data, measured)
     errors = point_errors(
-        posterior, stated.calibrated, stated.data.conditions, context.rng("task errors"), stated.widened
+        posterior, stated.calibrated, stated.data.conditions, context.rng("task errors"), stated.widened, places
     )
-    table = task_table(stated.calibrated, stated.data, measured, errors, asked)
-    notes = (*stated.notes, *not_known(stated.calibrated, stated.data.conditions), *beyond_limits(task))
+    table = task_table(stated.calibrated, stated.data, measured, errors, asked, places)
+    of_tool = [TAUGHT] if places else not_known(stated.calibrated, stated.data.conditions)
+    notes = (*stated.notes, *of_tool, *beyond_limits(task))
     return table, task_summary(stated.calibrated, table, errors, asked, notes)
 
 
