@@ -129,17 +129,20 @@ class FittedTrial(Trial[Cause]):
 
     def _with_rivals_alone(self, finding: Detection[Cause]) -> Detection[Cause]:
         cause, limit = finding.cause, finding.cost + 2 * REACH
-        if all(place == cause.place or cost > limit for place, (cost, _) in finding.places.items()):
+        near = {place for place, (cost, _) in finding.places.items() if cost < limit} - {cause.place}
+        if not near:
             return finding
-        scores = Linearisation.at(self.fitted, self.catalogue, cause).apart([cause]).scores
-        own, rivals = ([score for score in of if (score.cause.place == cause.place) == same]
-                       for of, same in ((finding.scores, True), (scores, False)))  # fmt: skip
-        places = by_place(scores)
+        here = {*near, cause.place}
+        effects = tuple(effect for effect in self.catalogue.effects if effect.id in dict(here))
+        at_zero = Linearisation.at(self.fitted, replace(self.catalogue, effects=effects), cause)
+        alone = at_zero.apart([cause], here).scores
+        places = by_place(alone)
         if cause.place not in places:  # another cause imitates it there, as a spring does a small mass
             return finding
         level = finding.cost - places[cause.place][0]
-        rivals = [replace(score, cost=score.cost + level) for score in rivals]
-        return replace(finding, scores=tuple(sorted([*own, *rivals], key=lambda score: score.cost)))
+        rivals = [replace(score, cost=score.cost + level) for score in alone if score.cause.place in near]
+        others = [score for score in finding.scores if score.cause.place not in near]
+        return replace(finding, scores=tuple(sorted([*others, *rivals], key=lambda score: score.cost)))
 
     @property
     def extended(self) -> Extended:

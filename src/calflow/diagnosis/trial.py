@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Generic, Self
@@ -97,13 +97,13 @@ class Linearisation(Generic[H]):
         """Tests of all candidates that the model lacks, beside its causes."""
         return self.tested_with(self.causes)
 
-    def tested_with(self, causes: Sequence[H], place: Place | None = None) -> Screening[H]:
-        """Return the tests of all other candidates, or those of one place, beside the given causes, linear, without a refit."""
+    def tested_with(self, causes: Sequence[H], where: Collection[Place] = ()) -> Screening[H]:
+        """Return the tests of all other candidates, or those of some places, beside the given causes, linear, without a refit."""
         every, places = self.regressors.candidates, {cause.place for cause in causes}
+        there = (c for c in every if c.cause.place in where) if where else every
         regressors = self.regressors.only(
-            c for c in every
-            if place in (None, c.cause.place) and not (c.cause.place in places and any(map(c.cause.same_form, causes)))
-        )  # fmt: skip
+            c for c in there if not (c.cause.place in places and any(map(c.cause.same_form, causes)))
+        )
         if gone := [cause for cause in self.causes if cause not in causes]:
             columns = np.sort(np.concatenate([self.columns[self.causes.index(cause)] for cause in gone]))
             regressors = regressors.without(columns, self.value[columns])
@@ -111,9 +111,9 @@ class Linearisation(Generic[H]):
             regressors = regressors.with_parameters(*self.regressors.as_parameters(np.concatenate(come)))
         return Screening(regressors)
 
-    def apart(self, gone: Sequence[H]) -> Screening[H]:
-        """Return the tests of all candidates with some causes removed, beside the others."""
-        return self.tested_with([cause for cause in self.causes if cause not in gone])
+    def apart(self, gone: Sequence[H], where: Collection[Place] = ()) -> Screening[H]:
+        """Return the tests of all candidates, or those of some places, with some causes removed, beside the others."""
+        return self.tested_with([cause for cause in self.causes if cause not in gone], where)
 
     def rise(self, gone: Sequence[H]) -> float:
         """Return the increase of the cost without some causes, removed one after another."""
@@ -138,7 +138,7 @@ class Linearisation(Generic[H]):
 
     def forms(self, causes: Sequence[H], place: Place) -> list[Score[H]]:
         """Return the scores of all forms of a place beside the given causes, best first."""
-        return self.tested_with(causes, place).scores
+        return self.tested_with(causes, [place]).scores
 
     def _cost(self, gone: Sequence[H], cause: H) -> float:
         """Return the cost of a cause with others removed; zero where it is not testable."""
