@@ -333,6 +333,31 @@ def test_what_nothing_tells_follows_the_target_before():
     np.testing.assert_allclose([row.largest_deg for row in done.rows], told, rtol=1e-4)
 
 
+def test_a_nearer_way_is_taken_where_the_search_found_but_one(monkeypatch):
+    """Fails if the one solution that a search found stands where another is nearer, or the search never ends."""
+    from calflow.programs import postures
+
+    whole, sought = ur10(), postures._nearer
+    arm = replace(whole, joints=tuple(replace(joint, limits=(-3.1, 3.1)) for joint in whole.joints))
+    corrector = calibrated(arm, ("geometry",), 0.3)
+    turns = iter(range(5))
+
+    def few(*arguments):
+        assert next(turns, None) is not None, "the search does not end"
+        return sought(*arguments)
+
+    monkeypatch.setattr(postures, "_nearer", few)
+    monkeypatch.setattr(postures, "STARTS_ALONE", 1)
+    way = usual(corrector, 1, seed=7)[0] + np.linspace(0, 0.3, 8)[:, None] * np.array([1, -0.5, 0.7, 0.3, 0.4, -0.6])
+    start = f"movej([{','.join(f'{v:.9f}' for v in way[0])}])"
+    poses = [pose_values(one, "vector", np.zeros(6)) for one in corrector.flange(way)[1:]]
+    lines = [f"movel(p[{','.join(f'{v:.9f}' for v in one)}])" for one in poses]
+    source = "\n".join(["set_tcp(p[0,0,0,0,0,0])", start, *lines, ""]).encode()
+    done = filtered(parsed(source, Path("p.script")), corrector, FilterSettings({}, {}))
+    told = np.abs(corrector.corrected(way, np.zeros((8, 3)), list("abcdefgh"), [range(8)]).readings - way).max(axis=1)
+    np.testing.assert_allclose([row.largest_deg for row in done.rows], np.rad2deg(told), rtol=1e-4)
+
+
 def test_what_cannot_be_reached_or_told_stays_and_is_named():
     """Fails if a target out of reach is moved, or a posture that the program does not tell is guessed."""
     corrector = calibrated(ur10(), ("geometry",), 0.3)

@@ -58,10 +58,7 @@ def _resolved(aims: list[Aim], corrector: CalibratedRobot, choices: FilterSettin
     while nearer := _nearer(
         aims, {k: readings for k in alone if (readings := before[k]) is not None}, resolved, corrector
     ):
-        options |= {
-            k: replace(options[k], readings=np.vstack([options[k].readings, readings]))
-            for k, readings in nearer.items()
-        }
+        options |= {k: _unselected(np.vstack([options[k].readings, readings])) for k, readings in nearer.items()}
         resolved, before = _in_sequence(aims, options, corrector, choices)
     return resolved
 
@@ -153,8 +150,7 @@ def _intended(
         return _Solutions(close[None]) if off < CLOSE else _Solutions(none, apart)
     configuration = aim.target.configuration
     if configuration is None:
-        several = f"no configuration selects one of {len(solutions)} solutions"
-        return _Solutions(solutions, "" if len(solutions) == 1 else several)
+        return _unselected(solutions)
     # Solutions within half a turn precede those a turn further.
     for options in (solutions, corrector.axes.with_turns(solutions)):
         postures = postures if options is solutions else corrector.postures(options)
@@ -167,6 +163,12 @@ def _intended(
     if any_configuration:
         return _Solutions(solutions, reason)
     return _Solutions(none, f"{reason}; --any-configuration takes the one nearest to the target before")
+
+
+def _unselected(solutions: np.ndarray) -> _Solutions:
+    """Return the solutions at a target without flags."""
+    several = f"no configuration selects one of {len(solutions)} solutions"
+    return _Solutions(solutions, "" if len(solutions) == 1 else several)
 
 
 def _chosen(aim: Aim, options: _Solutions, before: np.ndarray | None) -> Aim:
