@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 import calflow as cf
 from calflow.deployment.check_poses import choose_check_poses
+from calflow.deployment.compensation import not_known
 from calflow.estimation.fit import Fit
 from calflow.estimation.identification import fit_effects
 from calflow.files.problems import InputError
@@ -300,6 +301,8 @@ def test_a_known_tool_is_where_it_is_said_to_be(tmp_path):
     told = found.predict(data.joints[:1])
     assert (told.sd < 5e-3).all()
     assert "base and tool are taught" in told.notes[1]
+    (said,) = not_known(found, data.conditions[:, :1])
+    assert "once the tool is taught" in said  # not that orientations should be measured
     with pytest.raises(InputError, match="positions alone"):
         choose_check_poses(found, data)
     further = photographed(UR5E, True, 24, rng, points=board(), worn=made.arm)

@@ -85,6 +85,11 @@ def not_known(calibrated: CalibratedModel, conditions: np.ndarray) -> list[str]:
     """Return notes on the parts of the orientation in rows (n_conditions, n_rows) that no measurement determined."""
     if any(isinstance(observation, Pose) for observation in calibrated.model.observations):
         return []
+    if calibrated.model.tool_unseen:
+        return [
+            "no image shows how flange and tool sit on the last link: that is in the error to expect, but the same at all targets "
+            "in the tool's frame, and gone once the tool is taught with these commands"
+        ]
     few = conditions[:, np.unique(np.linspace(0, conditions.shape[1] - 1, UNTOLD_ROWS).astype(int))]
     typical = np.sqrt(calibrated.rotation_variances(few)[0].mean(axis=0))
     robot = calibrated.model.robot
