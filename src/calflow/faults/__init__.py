@@ -16,6 +16,7 @@ from calflow.faults.implausible import lengths_in_other_units, nominal_misfit, o
 from calflow.faults.measured_torque import measured_torque
 from calflow.faults.mended_rows import exchanged, unit_mistake
 from calflow.faults.outlier import gross_rows, is_position, outlier
+from calflow.faults.photographed import places_seen, told_of_images
 from calflow.faults.reference import Reference
 from calflow.faults.repeats import odd_repeats
 from calflow.faults.row_misalignment import lost_rows, row_misalignment
@@ -59,7 +60,7 @@ def examined(data: Measurements, paths: Sequence[Path] = ()) -> tuple[Measuremen
     if not problems and setup and (message := nominal_misfit(setup)):
         first = int(data.series_number[is_position(data)][0])
         problems.append(Problem(message, paths[first] if paths else None))
-    if not problems and "length" in data.table and not any(fault.action == "unsettled" for fault in faults):
+    if not problems and "length" in data.table and not unsettled(faults):
         problems += [Problem(message, paths[k] if paths else None) for k, message in lengths_in_other_units(data)]
     refuse_any(problems)
     return data, faults
@@ -67,31 +68,34 @@ def examined(data: Measurements, paths: Sequence[Path] = ()) -> tuple[Measuremen
 
 def _searched(data: Measurements) -> tuple[Measurements, tuple[Fault, ...], Setup | None]:
     """Return the rows and their faults, and the set-up of the rows with positions, if any."""
-    faults: list[Fault] = []
+    faults, setup = list[Fault](), None
+
+    def correcting(found: Sequence[Fault]) -> Measurements:
+        faults.extend(found)
+        return reduce(correct, found, data)
+
     for check in PLAIN_CHECKS:
-        faults += (found := check(data))
-        data = reduce(correct, found, data)
-    positions, setup = is_position(data), None
+        data = correcting(check(data))
+    positions = is_position(data)
     if positions.any():
         if message := one_position(data.position[positions]):
             raise refuse(message)
-        detected, setup = _of_positions(data.only(positions))
-        faults += (moved := [fault.in_all_rows(np.flatnonzero(positions)) for fault in detected])
-        data = reduce(correct, moved, data)
-    if not positions.all():
-        faults += (gross := gross_rows(data, ~positions))
-        data = reduce(correct, gross, data)
-    if not any(fault.action == "unsettled" for fault in faults):
-        faults += (repeats := odd_repeats(data))
-        data = reduce(correct, repeats, data)
+        found, setup = _of_places(data.only(positions), CHECKS)
+        data = correcting([fault.in_all_rows(np.flatnonzero(positions)) for fault in found])
+    elif seen := places_seen(data):
+        data = correcting([told_of_images(fault) for fault in _of_places(seen, (setup_faults,))[0]])
+    if not positions.all() and not unsettled(faults):
+        data = correcting(gross_rows(data, ~positions))
+    if not unsettled(faults):
+        data = correcting(odd_repeats(data))
     return data, tuple(faults), setup
 
 
-def _of_positions(data: Measurements) -> tuple[list[Fault], Setup]:
-    """Return the faults of position rows, and the set-up of these rows without them."""
-    setup, faults, checks = Setup.of(data), list[Fault](), [*CHECKS]
+def _of_places(data: Measurements, every: Sequence[Check]) -> tuple[list[Fault], Setup]:
+    """Return the faults of rows with positions by these checks, and the set-up of the rows without them."""
+    setup, faults, checks = Setup.of(data), list[Fault](), [*every]
     reference = Reference.of(data, setup)
-    while checks and reference and not any(fault.action == "unsettled" for fault in faults):
+    while checks and reference and not unsettled(faults):
         check = checks.pop(0)
         if detected := check(data, reference):
             data = reduce(correct, detected, data)
@@ -99,8 +103,13 @@ def _of_positions(data: Measurements) -> tuple[list[Fault], Setup]:
             setup = setup.on(data)
             reference = Reference.of(data, setup)
             if check is setup_faults:  # what it corrected may have hidden what corrects single rows
-                checks = [*DEFINITE_CHECKS, *checks]
+                checks = [*(definite for definite in every if definite in DEFINITE_CHECKS), *checks]
     return faults, setup
+
+
+def unsettled(faults: Sequence[Fault]) -> bool:
+    """Return whether the user must settle one of the faults."""
+    return any(fault.action == "unsettled" for fault in faults)
 
 
 def as_table(faults: Sequence[Fault], data: Measurements) -> pd.DataFrame:

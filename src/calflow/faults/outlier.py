@@ -9,7 +9,6 @@ the tail of the other residuals.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from functools import reduce
 
 import numpy as np
 import scipy
@@ -22,7 +21,6 @@ from calflow.estimation.noise import measured_noise
 from calflow.estimation.registration import in_measuring_frame, registered
 from calflow.faults.base import Correction, Fault, correct, fault, faulty_rows
 from calflow.faults.mistake import LENGTH_UNITS
-from calflow.faults.photographed import mistake_in_images
 from calflow.faults.reference import EQUATIONS, Reference
 from calflow.faults.rough import FAR_BETTER, GROSS, LEAST_GROSS
 from calflow.files.problems import refuse
@@ -146,10 +144,8 @@ def is_position(data: Measurements) -> np.ndarray:
 def gross_rows(data: Measurements, which: np.ndarray) -> tuple[Fault, ...]:
     """Return the outliers among some rows (n_rows,) by a robust fit of all training rows, one fault per series.
 
-    Images that no such robot explains have a mistake of robot file or readings, which is returned instead, or corrected first.
-
     Raises:
-        InputError: no single mistake explains them, or the user must settle it, and no fit can absorb it.
+        InputError: no such robot explains images.
     """
     train = data.only(data.train)
     robot, observed = registered(data.robot, observations(train), train)
@@ -176,9 +172,6 @@ def gross_rows(data: Measurements, which: np.ndarray) -> tuple[Fault, ...]:
         limit = limit_of(far[rows], scale, max(GROSS * scale, least))
         gross = rows & (far > limit)
         if isinstance(observed[int(k)], Camera) and (off := _mistaken(data, far, rows)):
-            if found := mistake_in_images(data):
-                unsettled = any(fault.action == "unsettled" for fault in found)
-                return found if unsettled else (*found, *gross_rows(reduce(correct, found, data), which))
             raise refuse(
                 f"three quarters of the points in the images are {off:.0f} px or more from where any robot like this one has "
                 "them: check that each image stands beside its own joint readings, camera_on and target_on, order, signs and units "

@@ -9,11 +9,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 from calflow.faults.base import Correction, Fault
-from calflow.faults.reference import Reference
-from calflow.faults.setup_search import setup_faults
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import POSITION, numbered
 from calflow.measurements.series import Series
+from calflow.observations import observations
 from calflow.observations.camera import TOOL, WORLD, Camera
 from calflow.robot.parts import Base, Marker
 
@@ -22,37 +21,28 @@ MOVED = ": camera or target was moved; from there on name another target (column
 SETTLE = "settle this first: no cause is named until then"
 
 
-def mistake_in_images(data: Measurements) -> tuple[Fault, ...]:
-    """Return the mistake of robot file or readings that the images of one camera and one target show, if any.
+def places_seen(data: Measurements) -> Measurements | None:
+    """Return a row per image of one camera and one target, with the place of what was seen as the position of an unknown marker.
 
-    It is corrected if it concerns all readings of a column, else for the user to settle.
-
-    Raises:
-        InputError: the user must settle it, and no fit can absorb it.
+    None without images, and of an arm that moves while they are taken.
     """
-    seen = _places(data)
-    reference = None if seen is None else Reference.of(seen)
-    return () if reference is None else tuple(map(_of_images, setup_faults(reference.data, reference)))
-
-
-def _places(data: Measurements) -> Measurements | None:
-    """Return a row per image, with the place of what was seen as the position of an unknown marker; None if it is not told."""
-    series, n = data.series[0], data.robot.n_joints
-    if len(data.series) > 1 or (seen := Camera.of(series, data.table).places_seen(data.table)) is None:
+    k = next((k for k, seen in enumerate(observations(data)) if isinstance(seen, Camera)), None)
+    if k is None or "speed" in data.given:
         return None
-    rows, places = seen
+    series, own = data.series[k], data.table[data.of_series(k)].reset_index(drop=True)
+    rows, places = Camera.of(series, own).places_seen(own)
     moving = [str(series.setting(name, other)) for name, other in (("camera_on", WORLD), ("target_on", TOOL))]
     on = next((link for link in moving if link not in (WORLD, TOOL)), "")
-    table = data.table.iloc[rows].reset_index(drop=True)
-    table = table[[name for name in (*LABELS, *numbered("q", n)) if name in table]]
+    table = own.iloc[rows].reset_index(drop=True)
+    table = table[[name for name in (*LABELS, *numbered("q", data.robot.n_joints)) if name in table]]
     table = table.assign(marker="seen", **dict(zip(POSITION, places.T, strict=True)))
     marker = Marker((0.0, 0.0, 0.0), known=False, on=on)
     robot = replace(data.robot, base=Base(known=False), markers={"seen": marker}, expected=())
     return Measurements(robot, table, series=(Series(),))
 
 
-def _of_images(fault: Fault) -> Fault:
-    """Return a fault of the places as one of the images."""
+def told_of_images(fault: Fault) -> Fault:
+    """Return a fault of the places as one of the images: corrected if it concerns all readings of a column, else unsettled."""
     if all(not correction.row and correction.quantity.startswith("q") for correction in fault.corrections):
         return fault
     statement = fault.statement.split("; corrected for this run")[0]

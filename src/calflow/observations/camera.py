@@ -324,10 +324,8 @@ class Camera(Observation):
             rows = np.flatnonzero((of_camera == c) & (of_target == t))
             kept = spaced(np.unique(images[rows]), IMAGES)
             views = [rows[images[rows] == image_number] for image_number in kept]
-            if ("camera", c) not in placed and self.series.setting("focal") is None:
-                cameras[c] = replace(
-                    cameras[c], lens=_first_lens(cameras[c].lens, [(point[v], image[v]) for v in views])
-                )
+            if ("camera", c) not in placed:
+                cameras[c] = self._with_lens(c, views, point, image).cameras[c]
             at, seen = _sighted(replace(self, cameras=tuple(cameras)).lens(c), views, point, image)
             if not seen:
                 continue
@@ -343,35 +341,36 @@ class Camera(Observation):
             placed |= {("camera", c), ("target", t)}
         return replace(self, cameras=tuple(cameras), targets=tuple(targets))
 
-    def places_seen(self, table: pd.DataFrame) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return places by the images alone, of one camera and one target; None without any.
+    def places_seen(self, table: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:
+        """Return places by the images alone, those of the camera and target with most of them.
 
         They are rows of the table, one of each image (n,), and where the target's middle is in the camera's frame (n, 3) [m]; of a
         camera that moves, where a point before it that moves with it is in the target's. It is where the target is on average, so
         that the target's tilt, which an image tells worst, hardly moves it.
         """
-        if len(self.cameras) != 1 or len(self.targets) != 1:
-            return None
-        image, point, images = self.reported(table)[:2].T, self.reported(table)[2:5].T, image_numbers(table)
-        views = [np.flatnonzero(images == number) for number in np.unique(images)]
-        lens = self.lens(0)
-        if self.series.setting("focal") is None:
-            lens = replace(
-                self,
-                cameras=(
-                    replace(
-                        self.cameras[0], lens=_first_lens(self.cameras[0].lens, [(point[v], image[v]) for v in views])
-                    ),
-                ),
-            ).lens(0)
-        at, seen = _sighted(lens, views, point, image)
-        if not seen:
-            return None
-        poses = np.array([sighted.poses[0] for sighted in seen])
-        places = poses[:, :3, :3] @ point.mean(axis=0) + poses[:, :3, 3]
-        if self._link("camera_on") is not None:
+        which, images = self.reported(table), image_numbers(table)
+        of_camera, of_target = self._which(which)
+        first = np.unique(images, return_index=True)[1]
+        pair = of_camera * len(self.targets) + of_target
+        most = int(np.bincount(pair[first]).argmax())
+        image, point, c = which[:2].T, which[2:5].T, most // len(self.targets)
+        views = [np.flatnonzero(images == images[row]) for row in first[pair[first] == most]]
+        at, seen = _sighted(self._with_lens(c, views, point, image).lens(c), views, point, image)
+        poses = np.array([sighted.poses[0] for sighted in seen]).reshape(-1, 4, 4)
+        places = poses[:, :3, :3] @ point[np.concatenate(views)].mean(axis=0) + poses[:, :3, 3]
+        if self._link("camera_on") is not None and len(at):
             places = np.einsum("nji,nj->ni", poses[:, :3, :3], places.mean(axis=0) - places)
         return at, places
+
+    def _with_lens(self, camera: int, views: Sequence[np.ndarray], point: np.ndarray, image: np.ndarray) -> Self:
+        """The observation with the lens of a camera by its views (rows of an image), unless it is stated."""
+        if self.series.setting("focal") is not None:
+            return self
+        cameras = list(self.cameras)
+        cameras[camera] = replace(
+            cameras[camera], lens=_first_lens(cameras[camera].lens, [(point[v], image[v]) for v in views])
+        )
+        return replace(self, cameras=tuple(cameras))
 
     def _settled(self, table: pd.DataFrame, hand: np.ndarray, base: np.ndarray) -> Self:
         """The observation with all that is not stated where a robust fit of the images, some of them, has it."""
