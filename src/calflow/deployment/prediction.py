@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from calflow.estimation.calibrated_model import CalibratedModel
-from calflow.estimation.extrapolation import beyond
 from calflow.estimation.needed_conditions import HOW_TO_GO_ON, check_payload_stated, check_stated
 from calflow.estimation.residual_field import NOT_PHYSICAL
 from calflow.files.deferred import pd
@@ -102,7 +101,7 @@ def predict_rows(calibrated: CalibratedModel, data: Measurements, missing: Missi
     position = stated.calibrated.expected_point(conditions)
     variance = stated.calibrated.position_variance(conditions) + stated.widened
     notes = (*standing(calibrated), *stated.notes, *of_field(stated.calibrated, conditions), *beyond_limits(data),
-             *_of_joints(data, beyond_range(calibrated, data), *BEYOND_RANGE))  # fmt: skip
+             *_of_joints(data, calibrated.beyond_range(data.joints), *BEYOND_RANGE))  # fmt: skip
     field = calibrated.field_correction(conditions) if calibrated.field else None
     return Prediction(position, np.sqrt(variance), notes, field)
 
@@ -182,13 +181,6 @@ def beyond_limits(data: Measurements, so: str = "the prediction there is extrapo
     """Return notes that name the rows with a joint past its limits, and the consequence so."""
     past = data.robot.past_limits(data.joints @ data.robot.reading_matrix.T, 1e-9)
     return _of_joints(data, past, "past its limits", so)
-
-
-def beyond_range(calibrated: CalibratedModel, data: Measurements) -> np.ndarray:
-    """Return the mask (n_rows, n_joints) of readings beyond the measured range by more than a tenth of it."""
-    if calibrated.joint_range is None:
-        return np.zeros(data.joints.shape, dtype=bool)
-    return beyond(data.joints, calibrated.joint_range)
 
 
 def _of_joints(data: Measurements, which: np.ndarray, what: str, so: str) -> list[str]:

@@ -17,6 +17,7 @@ import scipy
 from calflow.effects.cause import Carried, Cause
 from calflow.estimation.accuracy import completed, error_jacobian, errors, judged_unit
 from calflow.estimation.error_model import ErrorModel, of_parameters
+from calflow.estimation.extrapolation import beyond
 from calflow.estimation.least_squares import Loss
 from calflow.estimation.needed_conditions import NeededCondition, depended_on
 from calflow.estimation.noise import Noise, PerUnit, Source, stated_noise
@@ -97,7 +98,7 @@ class CalibratedModel:
     errors: error model beyond the device's noise; alternatives: other models of similar probability; field: a
     non-physical correction of predictions; intraclass: correlation of the errors of markers at one standstill; needed: the
     conditions of a row that predictions need; time_origin [s]: clock reading from which times count; payloads: those carried
-    in the measurements; joint_range (2, n_joints): the least and the largest readings there; None: not known.
+    in the measurements; joint_range (2, n_joints): the least and the largest readings that were fitted; None: not known.
     """
 
     model: Model
@@ -115,6 +116,15 @@ class CalibratedModel:
     time_origin: float | None = None
     payloads: tuple[str, ...] = ()
     joint_range: np.ndarray | None = None
+
+    def beyond_range(self, readings: np.ndarray) -> np.ndarray:
+        """Return the mask of readings (n_rows, n_joints) beyond the fitted range by more than a tenth of it.
+
+        Held-out poses do not widen it: what errors do there is tested by few poses, and smooth errors know nothing of it.
+        """
+        if self.joint_range is None:
+            return np.zeros(readings.shape, dtype=bool)
+        return beyond(readings, self.joint_range)
 
     def later(self, given: tuple[str, ...], series: Measurements | None = None) -> Self:
         """Return the model for rows measured later that state these conditions, or those of a series (see `Effect.later`)."""

@@ -42,7 +42,7 @@ class Certainty:
     points: int = column("measured points that were used")
     markers: tuple[str, ...] = column("their markers")
     payloads: tuple[str, ...] = column("their payloads")
-    joints_low: tuple[float, ...] = column("the least reading of each joint", "rad; of a slide m", default=())
+    joints_low: tuple[float, ...] = column("the least fitted reading of each joint", "rad; of a slide m", default=())
     joints_high: tuple[float, ...] = column("the largest", "rad; of a slide m", default=())
     split: Literal["train", "holdout"] = column("the rows by which it is judged, which have values in `unit`")
     unit: str = column("the unit by which it is judged: mm, mrad, px, …")
@@ -87,6 +87,7 @@ class Certainty:
         """Return the certainty of a model, given its rows as they were fitted and their residuals (see `Residual`)."""
         calibrated, used = replace(calibrated, field=None), (data.train | data.held_out)
         data, residuals = data.only(used), residuals[used]
+        fitted = data.joints[data.train]
         units = [observation.units for observation in calibrated.model.observations]
         unit = calibrated.unit
         distance = np.where(calibrated.model.undecided(data), np.nan, errors_in(residuals, unit.label))
@@ -111,7 +112,7 @@ class Certainty:
         markers = tuple(str(name) for name in data.table["marker"].unique() if name)
         return Certainty(
             points=len(data), markers=markers, payloads=calibrated.payloads,
-            joints_low=tuple(data.joints.min(axis=0).tolist()), joints_high=tuple(data.joints.max(axis=0).tolist()),
+            joints_low=tuple(fitted.min(axis=0).tolist()), joints_high=tuple(fitted.max(axis=0).tolist()),
             split="holdout" if held else "train", unit=unit.label,
             left=float(distance[judged].mean()), noise=noise.words, noise_floor=floor if calibrated.noise_known else None,
             model_sd_mm=model_sd, prediction_sd_mm=prediction_sd, rivals=bool(calibrated.alternatives),

@@ -72,12 +72,12 @@ class FittedEffects:
     @cached_property
     def known(self) -> CalibratedModel:
         """The calibrated model, from which later stages start."""
-        used = self.data.only(self.data.train | self.data.held_out)
+        used, fitted = self.data.only(self.data.train | self.data.held_out), self.data.joints[self.data.train]
         return CalibratedModel(
             self.model, self.fit.estimate, self.fit.covariance, self.fit.at_bound, series_noise(self.noise),
             self.noise.discrepancy, self.fit.loss, self.errors, intraclass=self.noise.intraclass,
             needed=needed_conditions(self.model, self.fit.estimate, self.data), time_origin=self.data.time_origin,
-            payloads=used.payloads, joint_range=np.array([used.joints.min(axis=0), used.joints.max(axis=0)]),
+            payloads=used.payloads, joint_range=np.array([fitted.min(axis=0), fitted.max(axis=0)]),
         )  # fmt: skip
 
     @cached_property

@@ -14,7 +14,6 @@ import numpy as np
 
 from calflow.estimation.calibrated_model import CalibratedModel, Quantity, points_at
 from calflow.estimation.error_model import of_parameters
-from calflow.estimation.extrapolation import beyond
 from calflow.files.deferred import pd
 from calflow.files.tables import column, typed
 from calflow.measurements.measurements import Measurements
@@ -265,7 +264,7 @@ def task_table(
         **{name.format(axis): 1e3 * values[:, k] for name, values in by_axis for k, axis in enumerate("xyz")},
         nominal_mm=1e3 * np.linalg.norm(off, axis=1),
         expected_mm=1e3 * expected, radius95_mm=1e3 * radius, turn_mrad=1e3 * turn, turn95_mrad=1e3 * turn95,
-        within=within, beyond=_unmeasured(task, measured),
+        within=within, beyond=_unmeasured(calibrated, task, measured),
     )  # fmt: skip
     return typed(table, TaskPoint)
 
@@ -293,9 +292,9 @@ def task_summary(
     )  # fmt: skip
 
 
-def _unmeasured(task: Measurements, measured: Measurements) -> list[str]:
+def _unmeasured(calibrated: CalibratedModel, task: Measurements, measured: Measurements) -> list[str]:
     """Return for each point, in words, joints outside their measured range and a payload that was not measured."""
-    outside = beyond(task.joints, measured.joints)
+    outside = calibrated.beyond_range(task.joints)
     carried = set(measured.table["payload"])
     joints = [", ".join(f"joint {i + 1}" for i in np.flatnonzero(row)) for row in outside]
     loads = ["" if payload in carried else f"payload {payload or 'none'}" for payload in task.table["payload"]]

@@ -17,7 +17,6 @@ from calflow.deployment.run_outcome import RunOutcome
 from calflow.deployment.usability import no_gain_words
 from calflow.design.candidates import candidates
 from calflow.estimation.calibrated_model import CalibratedModel
-from calflow.estimation.extrapolation import beyond
 from calflow.files.deferred import pd
 from calflow.files.problems import InputError
 from calflow.files.toml import FileModel, Lengths3
@@ -111,8 +110,8 @@ def rms_mm(error: np.ndarray) -> str:
 def _drawn(calibrated: CalibratedModel, data: Measurements, region: np.ndarray | None, where: str) -> Promised:
     first, draws = data.table.iloc[0], np.random.default_rng(0)
     readings, conditions = candidates(calibrated.model, DRAWN_POSES, first["payload"], first["marker"], region, draws)
-    measured = data.only(data.train).joints
-    return _promised_at(calibrated, conditions, np.asarray(beyond(readings, measured).any(axis=1)), where)
+    outside = np.asarray(calibrated.beyond_range(readings).any(axis=1))
+    return _promised_at(calibrated, conditions, outside, where)
 
 
 def _promised_at(calibrated: CalibratedModel, conditions: np.ndarray, outside: np.ndarray, where: str) -> Promised:
