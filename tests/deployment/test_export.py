@@ -20,7 +20,8 @@ from calflow.files.problems import InputError
 from calflow.model import build
 from calflow.robot.formats.rigid_chain import properties_text, rigid_chain, urdf_text
 from calflow.robot.formats.robot_file import drives
-from calflow.robot.parts import Marker
+from calflow.robot.frames import at_origin, dh
+from calflow.robot.parts import Joint, Marker
 from calflow.robot.robot import Robot
 from estimation.data import calibration
 from robot.formats import urdfs
@@ -291,6 +292,34 @@ def test_a_tree_reads_back(tmp_path):
         np.testing.assert_allclose(again, there, rtol=0, atol=MICROMETRE)
     with pytest.raises(InputError, match="of one arm, this robot has several"):
         export(known, "controller", conditions=packed)
+
+
+def test_a_tree_of_dh_figures_reads_back(tmp_path):
+    """Fails if where an arm stands on another's link is not as calibrated, or its convention refuses these figures."""
+    joints = [
+        Joint(dh(d=0.5, alpha=1.5), limits=(-3, 3), link="torso"),
+        Joint(dh(a=0.3), limits=(-3, 3), link="left"),
+        Joint(at_origin(dh(a=0.2, d=0.1), (0.0, -0.1, 0.25), (0.0, 1.6, 0.2)), limits=(-3, 3), parent="torso"),
+    ]
+    markers = {"left": Marker((0.1, 0.0, 0.2), on="left"), "right": Marker((0.0, 0.1, 0.1))}
+    known = identified(Robot(joints, markers=markers, base=ASKEW))
+    readings = poses(known.model.robot, NUMBER)
+    packed = rows(known.model, readings, marker="right")
+    read = tmp_path / "read.toml"
+    read.write_text(export(known, "dh", conditions=packed).text)
+    model = pin.buildModelFromXML(export(known, "urdf", conditions=packed).text)
+    data = model.createData()
+    for name in markers:
+        packed = rows(known.model, readings, marker=name)
+        there = known.model.point(known.estimate, packed)
+        assert np.abs(there - known.model.point(known.model.nominal, packed)).max() > 1e-3
+        frames_of = [model.getFrameId(called) for called in ("measuring_frame", f"marker_{name}")]
+        for reading, place in zip(readings, there, strict=True):
+            pin.framesForwardKinematics(model, data, reading)
+            measuring, marker = (data.oMf[frame] for frame in frames_of)
+            np.testing.assert_allclose(measuring.actInv(marker).translation, place, rtol=0, atol=MICROMETRE)
+        again = build(Robot.from_toml(read), ()).point(np.zeros(0), packed)
+        np.testing.assert_allclose(again, there, rtol=0, atol=MICROMETRE)
 
 
 def test_a_planner_can_move_what_it_reads(tmp_path):

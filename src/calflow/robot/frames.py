@@ -103,8 +103,8 @@ class Frame:
             return tuple(replace(step, value=figures.get(step.symbol, step.value)) for step in several)
 
         if convention := convention_of([self]):
-            again = CONVENTIONS[convention](**replace(self, origin=()).figures | dict(figures))
-            return replace(again, origin=self.origin)
+            own = {symbol: figures.get(symbol, value) for symbol, value in replace(self, origin=()).figures.items()}
+            return replace(CONVENTIONS[convention](**own), origin=steps(self.origin))
         (turn,) = steps((self.turn,))
         return replace(self, origin=steps(self.origin), reach=steps(self.reach), mount=steps(self.mount), turn=turn,
                        body=steps(self.body))  # fmt: skip
