@@ -7,7 +7,7 @@ stands for something else fits only the rows on which it was found. Linear, from
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -121,6 +121,6 @@ def carried_over(
 
 def carrying(fitted: Fitted, basis: BackgroundBasis, causes: Iterable[Cause]) -> Iterator[bool]:
     """Yield whether each of some causes of the model carries over."""
-    beside = Screening(replace(fitted, background=background(fitted, basis)).beside)
+    beside = Screening(fitted.alone.beside(background(fitted, basis), fitted.problem.weight))
     kinds = [LeftOutBlock.each(beside, kind) for kind in pose_blocks(fitted)]
     yield from (carried_over(fitted, cause, beside, kinds).holds for cause in causes)

@@ -134,7 +134,7 @@ class Fitted:
     @property
     def beside(self) -> Regressors[Cause]:
         """The model linearised without further effects, beside its background."""
-        return self.regressors(()) if self.background else self.alone
+        return self.alone.beside(self.background, self.problem.weight)
 
     @cached_property
     def studentised(self) -> np.ndarray:

@@ -301,10 +301,12 @@ class Regressors(Generic[H]):
             candidates_of(effects),
             posed=float(np.minimum(residuals_a_pose, POSE_FREEDOM).sum() / residuals_a_pose.sum()),
         )
-        return alone.beside(background, problem.weight) if background else alone
+        return alone.beside(background, problem.weight)
 
-    def beside(self, background: Background, weight: np.ndarray) -> Regressors[H]:
-        """Return the model beside a background, with whitening factors (n,) of the residuals."""
+    def beside(self, background: Background | None, weight: np.ndarray) -> Regressors[H]:
+        """Return the model beside a background, if there is one, with whitening factors (n,) of the residuals."""
+        if background is None:
+            return self
         effects, n = background.at(weight), len(self.precision)
         more = self.with_parameters(effects, np.ones(effects.shape[1]))
         return replace(more, random=np.arange(n, len(more.precision)))
@@ -361,7 +363,7 @@ def side_by_side(numbers: np.ndarray) -> np.ndarray | slice:
 def candidates_of(effects: Sequence[Effect]) -> tuple[Candidate[Cause], ...]:
     """Return a candidate with its columns for each place of the effects, effect by effect."""
     spans = zip(effects, consecutive(len(effect.declared) for effect in effects), strict=True)
-    return tuple(replace(own, columns=span.start + own.columns) for effect, span in spans for own in _places(effect))
+    return tuple(Candidate(own.cause, span.start + own.columns) for effect, span in spans for own in _places(effect))
 
 
 @lru_cache(maxsize=4096)

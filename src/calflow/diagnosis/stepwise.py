@@ -178,7 +178,7 @@ class Stepwise:
         small = [cause for cause in trial.causes if cause.n_parameters <= FEW_COLUMNS][-ENTANGLED:]
         for gone in (*combinations(small, 2), *combinations(small, 1)):
             stay, linear = [cause for cause in trial.causes if cause not in gone], trial.linearisation
-            singles = [score for score in linear.apart(gone).scores if len(score.candidate.columns) <= FEW_COLUMNS]
+            singles = [score for score in linear.apart(gone).scores if score.cause.n_parameters <= FEW_COLUMNS]
             now, best = -linear.rise(gone), next(iter(singles), None)
             if best and len(gone) == 2 and best.cost < now and self.acceptance.accepts(best, trial.first.family):
                 yield _replaced(trial, [*stay, best.cause])
@@ -195,7 +195,7 @@ class Stepwise:
         """Yield the causes with each of some candidates added, and the best beside it, and what both cost, linear."""
         for first in firsts:
             seconds = trial.linearisation.tested_with([*stay, first.cause]).scores
-            second = next((score for score in seconds if len(score.candidate.columns) <= FEW_COLUMNS), None)
+            second = next((score for score in seconds if score.cause.n_parameters <= FEW_COLUMNS), None)
             if second and second.cause.place != first.cause.place:
                 yield first.cost + second.cost, [*stay, first.cause, second.cause]
 

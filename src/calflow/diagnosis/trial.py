@@ -133,8 +133,7 @@ class Linearisation(Generic[H]):
 
     def own_findings(self, family: Family) -> list[Detection[H]]:
         """Return the causes with the scores of each one's own place alone, which take a small part of the time."""
-        stay = {cause: [other for other in self.causes if other != cause] for cause in self.causes}
-        return [Detection(cause, tuple(self.forms(stay[cause], cause.place)), family) for cause in self.causes]
+        return [Detection(cause, tuple(self.apart([cause], [cause.place]).scores), family) for cause in self.causes]
 
     def forms(self, causes: Sequence[H], place: Place) -> list[Score[H]]:
         """Return the scores of all forms of a place beside the given causes, best first."""
