@@ -19,5 +19,5 @@ def test_a_lens_that_was_touched_is_no_camera_that_slipped(tmp_path):
     assert [*found.index] == ["lens-step"]
     only = found.loc["lens-step"]
     assert only["status"] == "named"
-    assert f"after row {(~after).sum()} " in only["statement"]
+    assert f"after the image of pose {made.rows.loc[~after, 'pose'].max()})" in only["statement"]
     assert only["estimate"] == pytest.approx(longer, abs=4 * only["sd"])

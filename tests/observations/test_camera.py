@@ -47,7 +47,7 @@ def study(folder, made: Photographs, robot: str, in_hand: bool, more: str = ""):
     """A study of photographs."""
     made.rows.to_csv(folder / "measurements.csv", index=False)
     said = library_file(robot).replace(
-        "known = false                   # false: estimated from the measurements, wherever", "known = true  #"
+        "known = false                   # false: estimated from the measurements; of images", "known = true  #"
     )
     (folder / "robot.toml").write_text(said, encoding="utf-8")
     on = {"camera": "tool", "target": "world"} if in_hand else {"camera": "world", "target": "tool"}
@@ -301,6 +301,7 @@ def test_a_known_tool_is_where_it_is_said_to_be(tmp_path):
     told = found.predict(data.joints[:1])
     assert (told.sd < 5e-3).all()
     assert "base and tool are taught" in told.notes[1]
+    assert set(told.notes[:2]) <= set(found.compensate(told.position).notes)
     (said,) = not_known(found, data.conditions[:, :1])
     assert "once the tool is taught" in said  # not that orientations should be measured
     with pytest.raises(InputError, match="positions alone"):

@@ -22,7 +22,7 @@ from calflow.deployment.inverse_kinematics import (
     nominal_readings,
     room,
 )
-from calflow.deployment.prediction import BEYOND_RANGE, Missing, StatedModel, as_stated, of_field, rows_at
+from calflow.deployment.prediction import BEYOND_RANGE, Missing, StatedModel, as_stated, of_field, rows_at, standing
 from calflow.estimation.calibrated_model import MOST_UNTOLD, CalibratedModel
 from calflow.estimation.needed_conditions import HOW_TO_GO_ON
 from calflow.files.deferred import Rotation, pd
@@ -346,6 +346,7 @@ def _judged(
         ),
         *_of_rows("a joint moves there by so little that its side of approach depends on the correction itself", ~settled, names),
         *_of_rows(f"a joint is {': '.join(BEYOND_RANGE)}", np.asarray(calibrated.beyond_range(data.joints).any(axis=1)), names),
+        *(standing(calibrated) if places is None else ()),  # other tools than the robot's own are where their program says
         *stated.notes,
         *of_field(calibrated, data.conditions),
         *(not_known(calibrated, data.conditions) if oriented else ()),

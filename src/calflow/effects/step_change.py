@@ -25,10 +25,11 @@ class StepChange(Effect):
     """A change of constant size between two rows in measuring order, without a column of its own.
 
     The model's other parameters are of the time after it, and it acts, reversed, on the rows before: the robot as it was left,
-    commands and later measurements know nothing of it.
+    commands and later measurements know nothing of it. Of images, after says after which it was.
     """
 
     moment: float = 0.5
+    after: str = ""
 
     needs: ClassVar[tuple[str, ...]] = ("order",)
     dated: ClassVar[bool] = True
@@ -46,7 +47,11 @@ class StepChange(Effect):
         if cls.lacking(robot, data):
             return ()
         moments = _spread(cls._moments(data), data)
-        return tuple(replace(kind, moment=float(moment)) for kind in cls.kinds(robot) for moment in moments)
+        return tuple(kind.at(float(moment), data) for kind in cls.kinds(robot) for moment in moments)
+
+    def at(self, moment: float, data: Measurements) -> Self:
+        """Return the same at another moment of the data."""
+        return replace(self, moment=moment, after=_image_before(data, moment))
 
     @classmethod
     def unstatable(cls) -> str:
@@ -70,7 +75,7 @@ class StepChange(Effect):
         """Return the moments about this one that the coarse search left out."""
         between = self._moments(data)
         reach = float(np.diff(_spread(between, data)).max(initial=1.0))
-        return tuple(replace(self, moment=float(m)) for m in between[np.abs(between - self.moment) <= reach])
+        return tuple(self.at(float(m), data) for m in between[np.abs(between - self.moment) <= reach])
 
     def same_as(self, other: Self) -> bool:
         """Whether the moments are too close for two separate steps."""
@@ -87,9 +92,14 @@ class StepChange(Effect):
         return between[~np.isin(between, borders(data))] if cls.family == OF_THE_FRAME else between
 
     @property
+    def variant(self) -> str:
+        """Its figures, of which the moment says all of the image."""
+        return super(StepChange, replace(self, after="")).variant
+
+    @property
     def detail(self) -> str:
-        """The row after which it happened."""
-        return f"after row {int(np.floor(self.moment))} in measuring order"
+        """The image, or row, after which it happened."""
+        return f"after {self.after or f'row {int(np.floor(self.moment))} in measuring order'}"
 
     def before(self, row: Row) -> ca.SX:
         """Return 1 for a row before the step, else 0, structurally where none is or its place in the order is not known."""
@@ -128,6 +138,17 @@ def _spans(data: Measurements) -> np.ndarray:
         return np.repeat(np.unique(data.table["order"].to_numpy(float))[:, None], 2, axis=1)
     images = data.table.groupby(["pose", "repeat"])["order"].agg(["min", "max"])
     return images.sort_values("min").to_numpy(float)
+
+
+def _image_before(data: Measurements, moment: float) -> str:
+    """Return in words the last image before a moment, by its name if it has one, else by its pose; empty for rows of their own."""
+    if not data.in_images:
+        return ""
+    order = data.table["order"].to_numpy(float)
+    last = data.table.iloc[int(np.where(order < moment, order, -np.inf).argmax())]
+    if last.get("image"):
+        return f"image {last['image']}"
+    return f"the image of pose {last['pose']}" + f", repeat {last['repeat']}" * (data.table["repeat"].nunique() > 1)
 
 
 def _spread(moments: np.ndarray, data: Measurements) -> np.ndarray:

@@ -12,7 +12,7 @@ from calflow.calibration import Calibration
 from calflow.deployment.attained import TARGET
 from calflow.deployment.compensation import Compensation, compensate_rows, targets_in_measuring_frame
 from calflow.deployment.inverse_kinematics import Targets
-from calflow.deployment.prediction import Missing, beyond_limits, standing
+from calflow.deployment.prediction import Missing, beyond_limits
 from calflow.faults.implausible import plausible
 from calflow.files.deferred import pd
 from calflow.files.problems import InputError, Problem, nearest, refuse, refuse_any
@@ -114,7 +114,7 @@ def compensate_file(
     table = GivenRows.of(path, data, source).table
     readings = numbered("q", data.robot.n_joints)
     table = table.drop(columns=[name for name in table if str(name).split("_")[0] in readings])
-    notes = (*_start_notes(data, started), *standing(calibration), *calibration.notes, *compensation.notes)
+    notes = (*_start_notes(data, started), *calibration.notes, *compensation.notes)
     return GivenRows(table, data, source), replace(compensation, notes=notes)
 
 

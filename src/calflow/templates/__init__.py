@@ -157,7 +157,8 @@ def _marker(key: str, on: str) -> str:
     """Return the table of a marker with unknown position."""
     return (
         f"{f'[markers.{key}]':32}# measured points, in the flange's frame\n{on}point_mm = [0, 0, 100]\n"
-        "known = false                   # false: estimated from the measurements, wherever it is on the tool\n"
+        "known = false                   # false: estimated from the measurements; of images state it, with true: they do not "
+        "show it\n"
     )
 
 
