@@ -234,6 +234,8 @@ def export(
         if levels is None:
             raise ValueError("a controller's own files take zeros fitted alone")
         return _controller_file(cast("Maker", to), levels, maker or calibrated.model.robot, beside or {})
+    if beside:
+        raise refuse(f"expected nothing beside: '{to}' states the whole robot", key="beside")
     worth = (levels.words,) if levels else ()
     figures: FiguresAlone | CalibratedModel = calibrated
     cost = cost_of_each

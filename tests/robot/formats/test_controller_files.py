@@ -149,6 +149,33 @@ def test_what_the_files_lack_is_said(robot):
         pasted("kuka-dat", {}, robot, calibrated(robot))
 
 
+def test_a_slide_s_offset_is_counted_in_metres(robot):
+    """Fails if what is added to a slide's reading is taken for an angle, whose gear is in radians of the motor a radian."""
+    slide = replace(robot.joints[2], kind="prismatic", limits=(-1.0, 1.0))
+    sliding = replace(robot, joints=(*robot.joints[:2], slide, *robot.joints[3:]))
+    d = slide.frame.figures["d"]
+    truth = replace(sliding.joints[2], frame=slide.frame.restated({"d": d + 2e-3}))
+    off = replace(sliding, joints=(*sliding.joints[:2], truth, *sliding.joints[3:]))
+    made = pasted("abb-moc", {Path("MOC.cfg"): moc()}, sliding, off).text
+    assert "joint 3 reads +2.0000 more" in made
+    assert values("abb-moc", made)["rob1_3 cal_offset"] == pytest.approx(OFFSETS[2] - 2e-3 * GEARS[2], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("", r"expected rob1_1 cal_offset, in MOC.cfg"),
+        ("DEFDAT $MACHINE PUBLIC", r"expected rob1_1 cal_offset"),
+        (moc().replace("cal_offset 3.25", "cal_offset 3,25"), r"expected rob1_2 cal_offset"),
+        (moc().replace("transm_joint 118.0", "transm_joint 0"), r"expected another rob1_2 transm_joint than 0: file"),
+    ],
+)
+def test_what_is_no_such_file_is_refused(robot, text, told):
+    """Fails if another file ends in a traceback, half of a number is changed, or a gear of nothing leaves a zero as it is."""
+    with pytest.raises(InputError, match=told):
+        pasted("abb-moc", {Path("file"): text}, robot, calibrated(robot))
+
+
 def test_zeros_are_fitted_for_what_the_file_holds(finished):
     """Fails if a controller that takes zeros alone is given those of a model with springs, or its own file is not read."""
     axes = "\n".join(f"$MAMES[{k}]=0.0" for k in (1, 2, 3))

@@ -21,7 +21,7 @@ from calflow.files.problems import Problem, refuse, refuse_any, regular_file
 from calflow.robot.robot import Robot
 
 Maker = Literal["abb-moc", "kuka-dat", "fanuc-mastering"]
-NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?(?![\w.]|,\d)"  # and nothing of a number after it, as in 3,25
 MOC_BASE = tuple(f"base_frame_{what}" for what in ("pos_x", "pos_y", "pos_z", *(f"orient_u{k}" for k in range(4))))
 FRAME = r"\{\s*(?:FRAME:\s*)?" + r",\s*".join(rf"{axis}\s+({NUMBER})" for axis in "XYZABC") + r"\s*\}"
 
@@ -52,15 +52,15 @@ class ControllerFile:
     """How a maker keeps a robot's figures.
 
     zero and factor name a joint's offset, and what it changes by where 1 degree (or mm) is added to the joint's reading, of the
-    numbers that the files state. base names the numbers of the robot's place, tool those of a marker's. digits are written of
-    each offset.
+    numbers that the files state, the joint, and that in rad (or m). base names the numbers of the robot's place, tool those of a
+    marker's. digits are written of each offset.
     """
 
     files: str
     comment: str
     statements: Callable[[str], Iterator[FileStatement]]
     zero: str
-    factor: Callable[[Mapping[str, float], int], float]
+    factor: Callable[[Mapping[str, float], int, float], float]
     digits: int
     needs: tuple[str, ...] = ()
     base: Callable[[Robot], Mapping[str, float]] = lambda robot: {}
@@ -100,7 +100,10 @@ def pasted(maker: Maker, texts: Mapping[Path, str], nominal: Robot, calibrated: 
     where = ", ".join(path.name for path in texts)
     refuse_any(Problem(f"expected {name}, in {kept.files}: {where}") for name in asked if name not in values)
     added = dict(enumerate(added_to_readings(nominal, calibrated)[arm], start=1))
-    zeros = {kept.zero.format(k): kept.factor(values, k) * more for k, more in added.items()}
+    one = {k: 1 / nominal.joints[i].shown[1] for k, i in enumerate(arm, start=1)}
+    factors = {k: kept.factor(values, k, one[k]) for k in added}
+    refuse_any(Problem(f"expected another {kept.needs[0].format(k)} than 0: {where}") for k in added if not factors[k])
+    zeros = {kept.zero.format(k): factors[k] * more for k, more in added.items()}
     after = {name: f"{values[name] + more:.{kept.digits}f}" for name, more in zeros.items()}
     placed = dict(kept.base(calibrated)) if nominal.base.known else {}
     tools = {name: value for marker in calibrated.markers for name, value in kept.tool(calibrated, marker).items()}
@@ -133,10 +136,10 @@ def _moc(text: str) -> Iterator[FileStatement]:
     """The instances of ABB's MOC.cfg: of a section, from one `-name` to the next; a line may go on after a backslash."""
     kinds = {"MOTOR_CALIB": ("cal_offset",), "TRANSMISSION": ("transm_joint",), "ROBOT": MOC_BASE}
     heads = list(re.finditer(r"^([A-Z_0-9]+):[ \t]*\r?$", text, re.MULTILINE))
-    for head, after in zip(heads, [*(head.start() for head in heads[1:]), len(text)], strict=True):
+    for k, head in enumerate(heads):
         if head[1] not in kinds:
             continue
-        section = text[head.end() : after].replace("\r", "")
+        section = text[head.end() : heads[k + 1].start() if k + 1 < len(heads) else None].replace("\r", "")
         for instance in re.finditer(
             r'^[ \t]*-name "([^"]*)".*?(?=^[ \t]*-name |^#|\Z)', section, re.MULTILINE | re.DOTALL
         ):
@@ -185,15 +188,15 @@ def _listing(text: str) -> Iterator[FileStatement]:
 
 
 CONTROLLER_FILES: dict[Maker, ControllerFile] = {
-    # (motor angle - cal_offset) / transm_joint is the joint's angle [rad]
+    # (motor angle - cal_offset) / transm_joint is the joint's angle [rad], or the place of one that slides [m]
     "abb-moc": ControllerFile(
         files="MOC.cfg", comment="#", statements=_moc, zero="rob1_{} cal_offset", digits=6, needs=("rob1_{} transm_joint",),
-        factor=lambda values, k: -float(np.deg2rad(values[f"rob1_{k} transm_joint"])), base=_moc_base,
+        factor=lambda values, k, one: -one * values[f"rob1_{k} transm_joint"], base=_moc_base,
     ),
     # $MAMES is the reading where the axis stands at its mastering mark
     "kuka-dat": ControllerFile(
         files="$machine.dat or $config.dat", comment=";", statements=_krl, zero="$MAMES[{}]", digits=5,
-        factor=lambda values, k: 1.0,
+        factor=lambda values, k, one: 1.0,
         base=lambda robot: _krl_frame("$ROBROOT", robot.base.origin, robot.base.rotation),
         tool=lambda robot, marker: _krl_frame(f"TOOL_DATA {marker}", robot.markers[marker].point, robot.tool_rotation),
     ),
@@ -201,6 +204,6 @@ CONTROLLER_FILES: dict[Maker, ControllerFile] = {
     "fanuc-mastering": ControllerFile(
         files="listings of SYSMAST and SYSTEM (.VA)", comment="--", statements=_listing, zero="$DMR_GRP[1].$MASTER_COUN[{}]",
         digits=0, needs=("$PARAM_GROUP[1].$ENCSCALES[{}]",),
-        factor=lambda values, k: -values[f"$PARAM_GROUP[1].$ENCSCALES[{k}]"],
+        factor=lambda values, k, one: -values[f"$PARAM_GROUP[1].$ENCSCALES[{k}]"],
     ),
 }  # fmt: skip
