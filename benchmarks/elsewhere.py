@@ -2,20 +2,22 @@
 
     python benchmarks/elsewhere.py real --cases 6          splits of measured robots (CALFLOW_DATA)
     python benchmarks/elsewhere.py simulated --cases 60    a third of the joint space measured, predicted in the rest
+    python benchmarks/elsewhere.py forms --cases 40        the same of arms with a cause in another form than the catalogue's
     python benchmarks/elsewhere.py parameters --cases 300  intervals of parameters, and of plain least squares beside them
     python benchmarks/elsewhere.py later --cases 60        device and robot wander; predicted one hour and a day on
     python benchmarks/elsewhere.py later-otherwise         other forms of that
 
 Simulated arms are of foreign_physics.py; joints err by smooth random functions of several joints' angles, rms 1 to 5 times the
-noise at the tool, which no catalogue has. Real robots' base and tool are placed anew where they are predicted: by 20 poses drawn
-there, the others judged, or by all. Intervals of what a placement leaves are worked out from the promise: its parameters' part with
-their covariance, all else for independent from row to row. Worst is calibrated over nominal (placed alike), rms, in the worst of
-eight regions; promise is the pooled standard deviation over the pooled error. `later` tells of what the device sees then, without
-noise: a frame that walks at random (device), an arm that warms up and cools in pauses (warm-up), or both; `later-otherwise` has
-joint zeros that go by its warmth, and a device whose scale about its stand walks; each case is judged by CONTINUED walks after
-the same measurement. framed is what intervals cover where the device's frame is fitted anew at that hour. The FANUC is split by
-joint 2: joint 1 stood still in all but three of its 24 poses. What is promised of a measurement is of another one, in which the
-device wanders otherwise; both halves of UR5 and FANUC are of one, so that they are judged without that as well (wander: this).
+noise at the tool, which no catalogue has; or a form of foreign_forms.py acts, at 5 limits (see other_forms.py). Real robots' base
+and tool are placed anew where they are predicted: by 20 poses drawn there, the others judged, or by all. Intervals of what a
+placement leaves are worked out from the promise: its parameters' part with their covariance, all else for independent from row to
+row. Worst is calibrated over nominal (placed alike), rms, in the worst of eight regions; promise is the pooled standard deviation
+over the pooled error. `later` tells of what the device sees then, without noise: a frame that walks at random (device), an arm that
+warms up and cools in pauses (warm-up), or both; `later-otherwise` has joint zeros that go by its warmth, and a device whose scale
+about its stand walks; each case is judged by CONTINUED walks after the same measurement. framed is what intervals cover where the
+device's frame is fitted anew at that hour. The FANUC is split by joint 2: joint 1 stood still in all but three of its 24 poses.
+What is promised of a measurement is of another one, in which the device wanders otherwise; both halves of UR5 and FANUC are of one,
+so that they are judged without that as well (wander: this).
 """
 
 from __future__ import annotations
@@ -28,10 +30,11 @@ from pathlib import Path
 
 import kept_cases
 import numpy as np
+import other_forms
 import pandas as pd
-from foreign_forms import DEVICE
+from foreign_forms import DEVICE, FORMS, measured
 from foreign_physics import ARMS, Arm, Array, Rows, Yielding, flange, likeness, measured_rows, points, worn
-from foreign_study import identified, names_of, predicted, write_study
+from foreign_study import identified, joint_of, names_of, predicted, write_study
 from kept_cases import Place, Row
 from real_data import DATA
 from scipy.spatial.transform import Rotation
@@ -240,21 +243,59 @@ def _sigma(arm: Arm, rng: np.random.Generator) -> float:
     return float(rng.uniform(3e-5, 5e-5) if arm.name == "large-6" else rng.uniform(1.5e-5, 3e-5))
 
 
+LIMITS = 5.0
+UNKNOWN = {"no masses", "session"}  # forms whose data need what these studies do not have
+
+
 def work_simulated(place: Place) -> list[Row]:
     """Measure in a third of the range of one of the first joints, predict in the rest."""
     rng = place.rng
     arm, size = ARMS[list(ARMS)[place.number % len(ARMS)]], float(rng.uniform(1, 5))
-    sigma, joint = _sigma(arm, rng), int(rng.integers(0, 2))
+    sigma = _sigma(arm, rng)
     rows = measured_rows(arm, 420, rng, payloads=(2,))
-    third = np.quantile(rows.q[:, joint], np.array([0, 1 / 3]) + rng.uniform(0, 2 / 3))
-    here = (rows.q[:, joint] >= third[0]) & (rows.q[:, joint] <= third[1])
+    here = _third(rows, rng)
     seen = Wavering.drawn(arm, rows, size * sigma, rng).points(worn(arm, rng), rows)
-    known = _calibrated(place, arm, rows.only(here), seen[here] + sigma * rng.standard_normal(seen[here].shape), sigma)
-    there, found = rows.only(~here), []
+    return [{"arm": arm.name, "size": size} | row for row in _in_the_rest(place, arm, rows, here, seen, sigma, rng)]
+
+
+def work_forms(place: Place) -> list[Row]:
+    """The same of an arm with a cause in a form of its own."""
+    rng, arm = place.rng, ARMS[list(ARMS)[place.number % len(ARMS)]]
+    sigma = _sigma(arm, rng)
+    rows, real = measured_rows(arm, 300, rng), worn(arm, rng)
+    here = _third(rows, rng)
+    forms = [form for form in FORMS if arm.name in form.arms and form.kind != "device" and not UNKNOWN & {*form.needs}]
+    world = other_forms.World(arm, real, rows.only(here), np.zeros(0), sigma * np.eye(here.sum()))
+    form = forms[int(rng.integers(len(forms)))]
+    hidden = other_forms.placed(form, world, LIMITS, True, rng).hidden
+    truth: Row = {"arm": arm.name, "form": form.name, "joint": hidden.joint}
+    seen = measured(real, rows, (hidden,))
+    return [truth | row for row in _in_the_rest(place, arm, rows, here, seen, sigma, rng, timed=True)]
+
+
+def _third(rows: Rows, rng: np.random.Generator) -> Array:
+    """The mask of rows (rows,) in a third of the range of one of the first joints."""
+    joint = int(rng.integers(0, 2))
+    third = np.quantile(rows.q[:, joint], np.array([0, 1 / 3]) + rng.uniform(0, 2 / 3))
+    return (rows.q[:, joint] >= third[0]) & (rows.q[:, joint] <= third[1])
+
+
+def _in_the_rest(
+    place: Place, arm: Arm, rows: Rows, here: Array, seen: Array, sigma: float, rng: np.random.Generator, *, timed: bool = False
+) -> list[Row]:  # fmt: skip
+    """Calibrate by some rows, and judge the others; timed: when they were measured, and how they were reached, is known."""
+    columns = {"approach", "travel", "time", "temperature"} if timed else ("approach",)
+    noisy = seen[here] + sigma * rng.standard_normal(seen[here].shape)
+    known = _calibrated(place, arm, rows.only(here), noisy, sigma, columns=columns)
+    nominal = _replaced(seen, points(arm, rows), _turns(arm, rows), rows.marker, here)[~here]
+    found = []
     for stage, calibration in stages(known).items():
-        at = predicted(calibration, there)
-        nominal = _replaced(seen, points(arm, rows), _turns(arm, rows), rows.marker, here)[~here]
-        row: Row = {"arm": arm.name, "size": size, "stage": stage}
+        at = predicted(calibration, rows.only(~here), timed=timed)
+        names = names_of(calibration) if calibration.diagnosed else pd.DataFrame()
+        row: Row = {
+            "stage": stage,
+            "names": ";".join(f"{name['cause']}:{joint_of(name)}" for _, name in names.iterrows()),
+        }
         found.append(row | promised(at.position - seen[~here], at.sd, nominal, seen[~here]))
     return found
 
@@ -459,6 +500,7 @@ def _warmth(rows: Rows, rng: np.random.Generator) -> Array:
 KINDS = {
     "real": (work_real, tell_promises),
     "simulated": (work_simulated, tell_promises),
+    "forms": (work_forms, tell_promises),
     "parameters": (work_parameters, tell_parameters),
     "later": (work_later, tell_promises),
     "later-otherwise": (partial(work_later, wanders=OTHER_WANDERS), tell_promises),
