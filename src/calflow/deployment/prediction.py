@@ -179,7 +179,7 @@ def as_stated(
 
 def beyond_limits(data: Measurements, so: str = "the prediction there is extrapolated") -> list[str]:
     """Return notes that name the rows with a joint past its limits, and the consequence so."""
-    past = data.robot.past_limits(data.joints @ data.robot.reading_matrix.T, 1e-9)
+    past = data.robot.past_limits(data.joint_angles, 1e-9)
     return _of_joints(data, past, "past its limits", so)
 
 

@@ -26,6 +26,7 @@ HUBER = 4.5  # standard deviations from which rows are down-weighted
 SETTLED = 0.1  # relative change of noise and weights below which a fit is not repeated
 MOST_LEVERAGE = 0.95  # of a residual, by which it is studentised
 WEIGHINGS = 3  # fits at most, in which the weights of outliers settle
+ALIKE = np.ones(1)  # factor of all rows without outliers
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,7 @@ class Fitted:
     background: Background | None = None
     shared: float | None = None
     visited: dict[frozenset[Cause], Fitted] = field(default_factory=dict, compare=False, repr=False)
-    outlier_factor: np.ndarray = field(default_factory=lambda: np.ones(1), compare=False, repr=False)
+    outlier_factor: np.ndarray = field(default_factory=lambda: ALIKE, compare=False, repr=False)
 
     @property
     def model(self) -> Model:
@@ -233,14 +234,13 @@ def _settled(
     device: Noise,
     start: np.ndarray,
     loss: Loss,
-    outlier_factor: np.ndarray | None = None,
+    outlier_factor: np.ndarray = ALIKE,
     discrepancy: PerUnit = NO_DISCREPANCY,
 ) -> Fitted:
     """Return the fit from a start, with rows beyond HUBER standard deviations weighted as by Huber (1964).
 
     outlier_factor (n_rows,) is the factor by which rows exceeded that in the fit before, and discrepancy that fit's.
     """
-    outlier_factor = np.ones(len(data)) if outlier_factor is None else outlier_factor
     for _ in range(WEIGHINGS):
         weighed = _down_weighted(device, outlier_factor, discrepancy)
         settled, noise, lack, _ = fit_reweighted(model, data, weighed, start[None], loss, SETTLED)

@@ -20,7 +20,6 @@ from calflow.files.deferred import pd
 from calflow.files.tables import column
 from calflow.files.units import METRE
 from calflow.files.words import rounded
-from calflow.measurements.measurements import Measurements
 from calflow.observations import leading_units
 
 PARTS = 8  # quantiles of an input's poses, at which regions begin and end
@@ -30,6 +29,7 @@ DRAWS = 499  # permutations of the poses
 BY_CHANCE = 0.05  # p-value, over all inputs, above which no region is reported: the misfit is then about uniform
 OF_MEASURING = ("device", "session")  # labels of rows that are alike to the robot
 LABELS = ("payload", "marker", "session")  # columns with few values
+IN_WORDS = {"order": "the row's place in measuring order"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,14 +59,8 @@ class MisfitRegion:
         """The region in words."""
         if self.value:
             return f"{'the ' * self.is_of_measuring}{self.input} is {self.value}"
-        joint = self.input[0] == "q" and self.input[1:].isdigit()
-        name = (
-            f"joint {self.input[1:]}"
-            if joint
-            else "the row's place in measuring order"
-            if self.input == "order"
-            else self.input
-        )
+        is_joint = self.input[0] == "q" and self.input[1:].isdigit()
+        name = f"joint {self.input[1:]}" if is_joint else IN_WORDS.get(self.input, self.input)
         return f"{name} is between {_said(self.low)} and {_said(self.high)}{f' {self.unit}' if self.unit else ''}"
 
     @property
@@ -174,12 +168,9 @@ def _likelihood_ratio(inside: np.ndarray, total: np.ndarray, count: np.ndarray) 
 
 def _inputs(fitted: Fitted) -> list[_Input]:
     """Return the inputs along which regions are searched for: joints, place, time or order, and labels."""
-    data: Measurements = fitted.data
-    angles = data.joints @ data.robot.reading_matrix.T
-    inputs = []
-    for i, joint in enumerate(data.robot.joints):
-        shown, factor = joint.shown
-        inputs.append(_Input(f"q{i + 1}", factor * angles[:, i], shown))
+    data = fitted.data
+    shown = zip(data.joint_angles.T, (joint.shown for joint in data.robot.joints), strict=True)
+    inputs = [_Input(f"q{i}", factor * angles, unit) for i, (angles, (unit, factor)) in enumerate(shown, start=1)]
     place = 1e3 * fitted.model.point(fitted.fit.estimate, data.conditions)
     inputs += [_Input(axis, place[:, i], "mm") for i, axis in enumerate("xyz")]
     for name, unit in (("time", "s"), ("order", "")):

@@ -156,7 +156,7 @@ def _compared(
     cause: Cause, fitted: Fitted, matched: Cause | None, alone: Fit, data: Measurements
 ) -> tuple[ConfirmedCause, pd.DataFrame | None]:
     i = cause.joint - 1
-    here, there = ((m.joints @ m.robot.reading_matrix.T)[:, i] for m in (fitted.data, data))
+    here, there = (m.joint_angles[:, i] for m in (fitted.data, data))
     unit, factor = data.robot.joints[i].shown
     error = "urad" if unit == "deg" else "um"
     low, high = max(here.min(), there.min()), min(here.max(), there.max())
@@ -202,13 +202,11 @@ def _beyond_first_order(values: np.ndarray, angle: np.ndarray) -> np.ndarray:
 
 def _covered(fitted: Fitted, causes: Sequence[Cause], other: Measurements) -> np.ndarray:
     """Return the mask of another series' rows within the travel on which the causes were fitted, shape (n_rows,)."""
-    here, there = (m.joints @ m.robot.reading_matrix.T for m in (fitted.data, other))
+    here, there = (m.joint_angles for m in (fitted.data, other))
     joints = [cause.joint - 1 for cause in causes]
     low, high = here.min(axis=0), here.max(axis=0)
     return np.asarray(((there >= low) & (there <= high))[:, joints].all(axis=1))
 
 
 def _mean(fit: Fit, rows: Measurements) -> float:
-    if not len(rows):
-        return float("nan")
-    return 1e3 * float(np.nanmean(distances(errors(fit.model, fit.estimate, rows, METRE))))
+    return 1e3 * float(np.nanmean(distances(errors(fit.model, fit.estimate, rows, METRE)))) if len(rows) else NAN
