@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -309,6 +310,11 @@ def test_a_known_tool_is_where_it_is_said_to_be(tmp_path):
     further = photographed(UR5E, True, 24, rng, points=board(), worn=made.arm)
     (tmp_path / "new").mkdir()
     judged = found.validate(study(tmp_path / "new", further, "ur5e", True).measurements())
+    swapped = replace(further, rows=further.rows.rename(columns={"u_px": "v_px", "v_px": "u_px"}))
+    (tmp_path / "swapped").mkdir()
+    other = found.validate(study(tmp_path / "swapped", swapped, "ur5e", True).measurements())
+    asked = ["are these rows of the robot" in " ".join(one.summary.notes) for one in (judged, other)]
+    assert asked == [False, True]
     of_points = np.sqrt(np.mean([point.calibrated**2 for point in judged.poses]))
     assert judged.judged.rms == pytest.approx(of_points, rel=0.02)
     assert of_points > 1.1 * judged.judged.mean

@@ -389,7 +389,7 @@ class _Comparison:
                 "device may have moved, --station fitted judges without it"
             )
         nominal, calibrated = self.size[NOMINAL].mean(), self.size[CALIBRATED].mean()
-        far = self.attained.unit == METRE and calibrated > ELSEWHERE
+        far = calibrated > ELSEWHERE * self.attained.unit.usual / METRE.usual
         if far or calibrated > nominal:
             than = "any calibrated robot" if far else "the nominal one"
             notes.append(f"the calibrated robot errs by more than {than}: {OF_THE_SAME}")

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 AXIS = 40  # characters for which the axis of a figure has room
 CERTAIN = 0.99  # larger probabilities are displayed as greater than this
 SMALLEST_CHANCE = 1e-6  # smaller probabilities are displayed as less than this
+HUGE = 1e7  # mm and more are stated by their power of ten: of rows that are nobody's
 READABLE = {"m": (1e3, "mm"), "rad": (1e3, "mrad")}
 
 
@@ -18,7 +19,7 @@ def mm(value: float) -> str:
         return "–"
     size = abs(value)
     if size >= 1:
-        return f"{value:.2f}"
+        return f"{value:.2f}" if size < HUGE else f"{value:.1e}"
     return f"{value:.3f}" if size >= 0.0095 or size == 0 else f"{value:.{min(9, 1 - math.floor(math.log10(size)))}f}"
 
 
