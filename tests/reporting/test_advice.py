@@ -562,6 +562,7 @@ def test_open_questions_name_what_the_data_leave_open() -> None:
         "identify/parameters.csv": pd.concat(
             [
                 parameter_table(parameter="joint4.a", prior_share=0.9),
+                parameter_table(parameter="tool.x", prior_share=1.0, fixed=True),
                 parameter_table(parameter="joint1.s", meaning="compliance of joint 1"),
                 parameter_table(parameter="joint6.d", meaning="length d of link 6"),
             ]
@@ -573,7 +574,7 @@ def test_open_questions_name_what_the_data_leave_open() -> None:
     assert said[2].startswith("1 more combination of many parameters cannot be determined.")
     assert "joint2.s" in said[3]
     assert "compliance of joint 1" not in said[3]
-    assert said[4] == "Joint4.a: no better known than before."
+    assert said[4] == "Joint4.a: no better known than before."  # unlike a figure that is held, which is no question
     assert open_questions(results(QUIET)) == []
 
 

@@ -346,7 +346,7 @@ def open_questions(outcome: RunOutcome) -> list[str]:
     prior = [
         row.parameter
         for row in outcome.identified_parameters
-        if row.prior_share > BY_PRIOR and row.parameter not in covered
+        if row.prior_share > BY_PRIOR and not row.fixed and row.parameter not in covered
     ]
     sentences = [statement_words(statement) for statement in of_kind(outcome, "scale")]
     if silent:
