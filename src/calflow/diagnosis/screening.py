@@ -424,7 +424,7 @@ class Screening(Generic[H]):
             place, spent = keys[:, order[first]]
             for start in range(0, DRAWS, DRAWN_AT_ONCE):
                 part = slice(start, start + DRAWN_AT_ONCE)
-                whitened = np.einsum("mij,mjk->mik", block.roots, score[block.columns, part])
+                whitened = block.roots @ score[block.columns, part]
                 largest = np.maximum.reduceat((whitened**2).sum(axis=1)[order], first, axis=0)
                 p = f_test(largest, chi2[part], spent, n)  # priors are drawn too: nothing is lost
                 np.minimum.at(smallest[:, part], place, p)
