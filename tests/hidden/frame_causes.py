@@ -74,6 +74,12 @@ def link_growth(h: Hidden, robot: Robot, rows: Rows) -> Robot:
     return replace(robot, a=a, d=d)
 
 
+def bar_growth(h: Hidden, robot: Robot, rows: Rows) -> Robot:
+    """The loop's crank (joint 1) or rod (2) grows by size a kelvin above 20 degC, and no link does."""
+    share = h.size * _warm(h, rows)[:, None] * (np.arange(3) == h.joint - 1)
+    return replace(robot, loop=robot.loop and replace(robot.loop, bars=robot.loop.bars * (1 + share)))
+
+
 def housing_growth(h: Hidden, robot: Robot, rows: Rows) -> Robot:
     """One joint's housing grows along its axis by size [m] a kelvin, or with extra "warm-up" by size in the end."""
     d = np.tile(robot.d, (len(rows), 1))
@@ -104,5 +110,10 @@ def warm_up(rows: Rows, at_first: float) -> Array:
     return warm
 
 
-ON_ROBOT = {"link-growth": link_growth, "housing-growth": housing_growth, "warm-zero": warm_zero}
+ON_ROBOT = {
+    "link-growth": link_growth,
+    "bar-growth": bar_growth,
+    "housing-growth": housing_growth,
+    "warm-zero": warm_zero,
+}
 ON_DEVICE = {"session-frame": session_frame, "wander": wander, "stand-growth": stand_growth}

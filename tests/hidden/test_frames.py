@@ -29,6 +29,7 @@ EVERY: dict[str, tuple[Case, str]] = {
         case("hh800", Hidden("stand-growth", 0, 4e-4, "settling"), columns=CLOCK, poses=90), "settling"
     ),
     "thermal-growth of one link": (case("serial", Hidden("link-growth", 2, 3e-4, "warm-up"), columns=CLOCK), "link 2"),
+    "thermal-growth of a rod": (case("hh800", Hidden("bar-growth", 2, 2e-5), columns=WARM), "(rod, alone, with the temperature)"),
     "housing-growth after a short one": (case("serial", WARMS, columns=CLOCK, pause=3600.0), "anew after each pause"),
     "housing-growth of a robot that was warm": (
         case("serial", Hidden("warm-zero", 3, 3e-4, 0.5), columns=CLOCK, pause=5 * 3600.0), "anew after each pause"
@@ -41,7 +42,7 @@ EVERY: dict[str, tuple[Case, str]] = {
 
 
 TOLD_APART = (  # of a device and of a robot; benchmarks/hidden_cases.py has all, by the whole catalogue
-    "session-frame of one move", "frame-drift that wanders", "housing-growth",
+    "session-frame of one move", "frame-drift that wanders", "housing-growth", "thermal-growth of a rod",
 )  # fmt: skip
 
 

@@ -22,7 +22,7 @@ BOUNDS = 10.0, 25.0  # standard deviations of each
 
 @dataclass(frozen=True)
 class ThermalGrowth(Warming):
-    """Lengths times 1 + alpha (T - 20 degC), or 1 + e (1 - exp(-t / constant)): of all links alike, or separately (apart)."""
+    """Lengths times 1 + alpha (T - 20 degC), or 1 + e (1 - exp(-t / constant)): of all alike, or of each link and bar (apart)."""
 
     apart: bool = False
 
@@ -35,13 +35,13 @@ class ThermalGrowth(Warming):
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
-        """Return growth common to all links and of each link, with temperature or with a grid of time constants."""
+        """Return growth common to all links and of each link and bar, with temperature or with a grid of time constants."""
         together = super().variants(robot, data)
         return (*together, *(replace(growth, apart=True) for growth in together))
 
     @property
     def detail(self) -> str:
-        """What it grows with, and whether one link grows or all."""
+        """What it grows with, and whether one link or bar grows or all."""
         return f"alone, {super().detail}" if self.apart else super().detail
 
     @property
@@ -52,23 +52,26 @@ class ThermalGrowth(Warming):
         return "alpha", "1/K", EXPANSION_SD, BOUNDS[0] * EXPANSION_SD, "thermal expansion"
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return the common expansion, or that of each link."""
+        """Return the common expansion, or that of each link and bar."""
         symbol, unit, sd, bound, meaning = self._figure
-        if not self.apart:
-            return tuple(
-                Parameter(self.id, "links", symbol + ending, unit, sd, -bound, bound, meaning=meaning)
-                for ending in self.symbols
-            )
+        places = [("links", 0, meaning)]
+        if self.apart:
+            places = [(f"link{link + 1}", link + 1, f"{meaning}, link {link + 1}") for link in self._links]
+            places += [(bar, 0, f"{meaning}, {bar}") for bar in self._bars]
         return tuple(
-            Parameter(self.id, f"link{link + 1}", symbol + ending, unit, sd, -bound, bound, meaning=f"{meaning}, link {link + 1}",
-                      joint=link + 1)
-            for link in self._links for ending in self.symbols
+            Parameter(self.id, part, symbol + ending, unit, sd, -bound, bound, joint=joint, meaning=words)
+            for part, joint, words in places for ending in self.symbols
         )  # fmt: skip
 
     @property
     def _links(self) -> tuple[int, ...]:
         """Indices of the links long enough to have an expansion of their own."""
         return tuple(beam.link for beam in spans(self.robot))
+
+    @property
+    def _bars(self) -> tuple[str, ...]:
+        """The loop's bars that have an expansion of their own: in free air, they stay colder than a link full of motors."""
+        return ("crank", "rod") if self.robot.loop else ()
 
     def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
         """Return the dimensions with the links lengthened."""
@@ -78,7 +81,10 @@ class ThermalGrowth(Warming):
         if self.apart:
             for k, link in enumerate(self._links):
                 dims = _grown(dims, _lengths(self.robot, link), 1 + growth[k])
-            return dims
+            bars = ca.SX(dims.bars)
+            for k in range(len(self._bars)):
+                bars[k] *= 1 + growth[len(self._links) + k]
+            return replace(dims, bars=bars)
         return grown(self.robot, dims, 1 + growth)
 
 
