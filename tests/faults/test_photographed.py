@@ -87,7 +87,8 @@ def test_an_arm_built_by_hand_is_no_mistake_and_a_board_that_was_moved_is_told(t
         UR5E, True, 30, np.random.default_rng(3), points=POINTS, worn=Pushed(UR5E.figures, False, UR5E.limits)
     )
     (tmp_path / "pushed").mkdir()
-    (told,) = checked(tmp_path / "pushed", (pushed, "ur5e", True), lambda rows: rows)[1]
+    named = pushed.rows.assign(image=[f"{pose}.png" for pose in pushed.rows["pose"]])
+    (told,) = checked(tmp_path / "pushed", (pushed, "ur5e", True), lambda rows: named)[1]
     assert (told.cause, told.action) == ("device-moved", "unsettled")
-    assert "from line 182 on" in told.statement
+    assert "from line 182 (image 16.png) on" in told.statement
     assert "(column 'target')" in told.statement

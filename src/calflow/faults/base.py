@@ -214,6 +214,12 @@ def _with_derived(table: pd.DataFrame, before: pd.DataFrame, data: Measurements,
     return table
 
 
+def line_in_words(data: Measurements, row: int) -> str:
+    """Return the line of a row (from 0) in words, with its image's name if it has one."""
+    image = data.table["image"].iloc[row] if "image" in data.table else ""
+    return f"line {data.table['line'].iloc[row]}" + f" (image {image})" * bool(image)
+
+
 def lines_in_words(lines: Sequence[int], most: int = 8) -> str:
     """Return line numbers in words: consecutive ones as ranges, a long list truncated."""
     runs: list[list[int]] = []

@@ -13,7 +13,7 @@ from calflow.effects import catalogue
 from calflow.effects.base import Effect, JointError
 from calflow.effects.base_off_level import TILT_BOUND
 from calflow.effects.session_frame import SessionFrame
-from calflow.faults.base import MEASUREMENT_FILE, ROBOT, SET_UP, lines_in_words
+from calflow.faults.base import MEASUREMENT_FILE, ROBOT, SET_UP, line_in_words, lines_in_words
 from calflow.faults.mistake import ARBITRARY, LOG_ODDS, Mistake, row_mistakes
 from calflow.faults.rough import lengths, level, motion, rigid_errors, rigid_sums, split_errors
 from calflow.faults.setup import FittedSetup, Setup
@@ -154,7 +154,9 @@ def _in_some_rows(data: Measurements, as_read: FittedSetup, some: Setup) -> Iter
         for later, errors in enumerate(split_errors(plain, other, ends)):
             k = int(errors.argmin())
             first = int(some.numbers[ends[k] + 1])
-            which = f"from line {line[first]} on, not before" if later else f"up to line {line[first - 1]}, not after"
+            which = f"from {line_in_words(data, first)} on, not before"
+            if not later:
+                which = f"up to {line_in_words(data, first - 1)}, not after"
             near.append((float(errors[k]), mistake, (number >= first) == bool(later), which, once))
         better = some.numbers[as_read.fit.better(before, _position_errors(as_read, undone))]
         if len(better) >= MIN_ROWS:
@@ -208,7 +210,7 @@ def _joint(data: Measurements, as_read: FittedSetup, some: Setup) -> Iterator[Mi
         return
     unit, factor = data.robot.joints[step.joint].shown
     words = (
-        f"from line {data.table['line'].iloc[step.first]} on the readings of joint {step.joint + 1} are "
+        f"from {line_in_words(data, step.first)} on the readings of joint {step.joint + 1} are "
         f"{abs(factor * step.size):.2g} {unit} too {'small' if step.size > 0 else 'large'} against the rows before: it was "
         "remastered, or its encoder lost count"
     )
@@ -254,7 +256,7 @@ def _device(data: Measurements, as_read: FittedSetup, some: Setup, sums: np.ndar
             f"give the rows of session '{named[first]}' from there on a session's name of their own"
         )  # fmt: skip
         words = (
-            f"from line {data.table['line'].iloc[first]} on the positions are in another frame ({{far}} off): the measuring "
+            f"from {line_in_words(data, first)} on the positions are in another frame ({{far}} off): the measuring "
             f"device, or the robot, was moved; {names} and state by_session = true in [measurements.station]"
         )
         yield from _separate_frames("device-moved", apart, as_read, words, len(sums))
@@ -293,7 +295,7 @@ def _separate_frames(
         far = max(far, float(np.median(np.linalg.norm(position[rows] - setup.position[rows], axis=1))))
     if far > MIN_SHIFT:
         together = replace(setup, position=position)
-        statement = words.format(far=f"{rounded(1e3 * far)} mm")
+        statement = words.replace("{far}", f"{rounded(1e3 * far)} mm")
         yield Mistake(kind, 0, lambda _: together, statement, LOG_ODDS - np.log(moments), where=SET_UP)
 
 
@@ -310,9 +312,9 @@ def _tool(data: Measurements, as_read: FittedSetup, some: Setup) -> Iterator[Mis
     by = errors[later].mean(axis=0) - errors[~later].mean(axis=0)
     if np.linalg.norm(by) < MIN_SHIFT:
         return
-    line, robot = data.table["line"].iloc[first], data.robot
+    line, robot = line_in_words(data, first), data.robot
     named = data.table["marker"].astype(str)
-    names = {name: f"{name} from line {line}" for name in named[first:].unique()}
+    names = {name: f"{name} from {line}" for name in named[first:].unique()}
     others = {
         names[name]: replace(
             robot.markers[name], point=vector(robot.markers[name].point + by), known=False, relative_sd=None
@@ -322,7 +324,7 @@ def _tool(data: Measurements, as_read: FittedSetup, some: Setup) -> Iterator[Mis
     table = data.table.assign(marker=named.where(np.arange(len(data)) < first, named.map(names)))
     setup = Setup.of(replace(data, robot=replace(robot, markers=dict(robot.markers) | others), table=table))
     words = (
-        f"from line {line} on another tool is measured, its point about {rounded(1e3 * float(np.linalg.norm(by)), 2)} mm from "
+        f"from {line} on another tool is measured, its point about {rounded(1e3 * float(np.linalg.norm(by)), 2)} mm from "
         "the one before on the flange; give these rows a marker of their own in robot file and table"
     )
     yield Mistake("tool-changed", 0, lambda _: setup, words, LOG_ODDS - np.log(len(errors)), where=SET_UP)

@@ -16,7 +16,7 @@ from calflow.observations import observations
 from calflow.observations.camera import TOOL, WORLD, Camera
 from calflow.robot.parts import Base, Marker
 
-LABELS = ("pose", "repeat", "payload", "split", "line", "order", "session", "time", "temperature")
+LABELS = ("image", "pose", "repeat", "payload", "split", "line", "order", "session", "time", "temperature")
 MOVED = ": camera or target was moved; from there on name another target (column 'target'), or camera ('camera'), than before"
 SETTLE = "settle this first: no cause is named until then"
 
