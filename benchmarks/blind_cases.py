@@ -204,7 +204,7 @@ def sized(job: Job, folder: Path) -> Sized:
     write_case(folder, alone, np.random.default_rng(job.seed))
     study = load_study(folder)
     fitted, catalogue = begun(study, run(study, folder / "run", stage="identify").results)
-    linearisation = Linearisation.at(fitted, catalogue)
+    linearisation = Linearisation.at(fitted, catalogue.effects)
     bare = Bare(fitted, linearisation, linearisation.screened(rng))
     units = [unit for unit in UNITS if set(unit.columns) <= set(job.case.columns)]
     units = [unit for unit in units if not job.among or unit.cause in job.among]

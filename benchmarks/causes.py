@@ -110,7 +110,7 @@ def diagnosed(
     start = Fitted.of(case.known, *averaged(data, case.known.noise(data)))
     found = extend(start, catalogue, CauseAcceptance(SHARES["causes"] * FALSE_ALARM, 10), rng, lambda line: None)
     final = found.fitted
-    beside = Linearisation.at(final, catalogue).beside.scores
+    beside = Linearisation.at(final, catalogue.effects).beside.scores
     reached = models_in_reach(final, found.findings, beside, catalogue)
     extended = CalibratedModel(
         final.model, final.fit.estimate, final.fit.covariance, final.fit.at_bound, series_noise(case.known.noise(data)),
@@ -121,7 +121,7 @@ def diagnosed(
 
 def shown_places(found: Extended, catalogue: Catalogue) -> list[Cause]:
     """A cause of each place that the data show."""
-    return list(rivals_shown(found.findings, Linearisation.at(found.fitted, catalogue).beside.scores).values())
+    return list(rivals_shown(found.findings, Linearisation.at(found.fitted, catalogue.effects).beside.scores).values())
 
 
 def every_set(causes: Sequence[Cause]) -> Iterator[ModelInReach]:

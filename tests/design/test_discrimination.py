@@ -12,7 +12,6 @@ from calflow.design.discrimination import MOST_NEXT_POSES, discrimination
 from calflow.design.planned import Planned
 from calflow.design.t_optimality import Discrimination
 from calflow.diagnosis.fitted import Fitted
-from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.stepwise import WITHIN
 from calflow.diagnosis.trial import Linearisation
 from calflow.effects import catalogue
@@ -47,7 +46,7 @@ def choices():
 
 def explanations(fitted, *rivals):
     """The gear ratio as it was fitted, and rivals in its place."""
-    looked = Linearisation.at(fitted, Catalogue(rivals, {})).apart([RATIO]).scores
+    looked = Linearisation.at(fitted, rivals).apart([RATIO]).scores
     scores = [next(score for score in looked if score.cause == cause) for cause in (RATIO, *rivals)]
     return [replace(score, cost=score.cost - scores[0].cost) for score in scores]
 

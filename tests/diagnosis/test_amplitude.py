@@ -25,7 +25,7 @@ def fitted():
 @pytest.fixture(scope="module")
 def finding(fitted):
     """The finding, with its other order."""
-    linearisation = Linearisation.at(fitted, Catalogue.of(fitted.data, ("geometry",), ("joint-eccentricity",)))
+    linearisation = Linearisation.at(fitted, Catalogue.of(fitted.data, ("geometry",), ("joint-eccentricity",)).effects)
     return linearisation.findings(linearisation.screened(np.random.default_rng(1)).family)[0]
 
 

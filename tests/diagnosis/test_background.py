@@ -9,7 +9,6 @@ import pytest
 
 from calflow.diagnosis.background import BackgroundBasis, Sizes, background, beside_background
 from calflow.diagnosis.extension import unnamed
-from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.trial import Linearisation
 from calflow.diagnosis.unexplained import _together
 from calflow.diagnosis.verdict import TEMPERED, WITHIN
@@ -152,7 +151,7 @@ def test_an_error_of_a_joint_that_is_another_at_each_pose_is_no_regular_one():
     known = start(data)
     kind = catalogue()["periodic-joint-error"]
     waves = tuple(Cause(robot, kind(robot, order=float(order)), "joint5") for order in np.geomspace(3, 30, 60))
-    score = Linearisation.at(known, Catalogue(waves, {})).beside.scores[0]
+    score = Linearisation.at(known, waves).beside.scores[0]
     assert score.p < 1e-6
     best = known.with_causes([score.cause])
     assert unnamed(best, BackgroundBasis.of(known), {score.cause.place: len(waves)})[score.cause] < 0

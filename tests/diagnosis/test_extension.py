@@ -67,7 +67,7 @@ def test_series_of_two_devices_make_a_cause_no_dearer():
     begun = replace(start(data), noise=identified, device=identified).with_causes([])
     scatter = [np.median(begun.noise.sigma[series == k]) for k in (0, 1)]
     assert scatter[1] > 3 * scatter[0]
-    linear = Linearisation.at(begun, Catalogue((soft,), {}))
+    linear = Linearisation.at(begun, (soft,))
     screened = linear.screened(rng)
     trial = FittedTrial(screened, begun, Catalogue((soft,), {}))
     assert screened.scores[0].cost < -20
@@ -92,7 +92,7 @@ def test_a_wrong_cause_gives_way_and_a_needless_one_goes(data):
 
     def thoughts(*causes):
         model = begun.with_causes(causes)
-        screened = Linearisation.at(model, catalogue_).screened(np.random.default_rng(2))
+        screened = Linearisation.at(model, catalogue_.effects).screened(np.random.default_rng(2))
         return second_thoughts(FittedTrial(screened, model, catalogue_), GATE)
 
     assert thoughts(right, eccentric, needless) == [right, eccentric]

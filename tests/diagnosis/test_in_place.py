@@ -19,7 +19,7 @@ def bent(*values):
         springs
     )
     every = Catalogue.of(known.data, ("geometry",))
-    first = Linearisation.at(known, every).screened(np.random.default_rng(1))
+    first = Linearisation.at(known, every.effects).screened(np.random.default_rng(1))
     trial = FittedTrial(first, known, every)
     return trial, trial.findings[0], trial.linearisation.findings(first.family)[0]
 

@@ -25,7 +25,7 @@ def found():
     final = start(hidden([(ECCENTRIC, (6e-5, -3e-5))])).with_causes([ECCENTRIC])
     effects = tuple(catalogue()[name](industrial()) for name in ("gear-ratio-error", "joint-eccentricity"))
     every = Catalogue(effects, {})
-    return final, Linearisation.at(final, every), every
+    return final, Linearisation.at(final, every.effects), every
 
 
 def test_one_cause_is_to_be_expected_of_the_whole_catalogue(found):
@@ -68,7 +68,7 @@ def test_a_curve_and_what_could_not_be_tested_stand_among_the_models():
     curve = Cause(data.robot, catalogue()["joint-error-map"].variants(data.robot, data)[0], "joint2")
     every = Catalogue((curve.effect, ECCENTRIC.effect, play.effect), {"joint-backlash": "approach"})
     final = start(data).with_causes([curve, play])
-    look = Linearisation.at(final, every)
+    look = Linearisation.at(final, every.effects)
     findings = [replace(finding, unnamed=30.0) for finding in look.findings(Family({}, 1.0))]
     models = models_in_reach(final, findings, look.beside.scores, every)
     weights = np.exp([model.log_weight for model in models])
@@ -86,7 +86,7 @@ def test_doubts_of_two_causes_do_not_exclude_each_other():
     other = cause("gear-ratio-error", "joint4")
     final = start(hidden([(ECCENTRIC, (6e-5, -3e-5)), (other, (1e-4,))])).with_causes([ECCENTRIC, other])
     every = Catalogue((ECCENTRIC.effect, other.effect), {})
-    look = Linearisation.at(final, every)
+    look = Linearisation.at(final, every.effects)
     findings = [replace(finding, unnamed=0.0) for finding in look.findings(Family({}, 1.0))]
     models = models_in_reach(final, findings, look.beside.scores, every)
     weights = np.exp([model.log_weight for model in models])

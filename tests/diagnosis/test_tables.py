@@ -38,7 +38,7 @@ def uneven():
 
 def diagnosis(last, **more):
     """A diagnosis that found no cause."""
-    first = Linearisation.at(last, Catalogue((), {})).screened(np.random.default_rng(1))
+    first = Linearisation.at(last, ()).screened(np.random.default_rng(1))
     return Diagnosis(
         last, Extended(last, (), first), DeployedCauses(last, ()), (), None, Catalogue((), {}), 0.01, **more
     )

@@ -9,7 +9,7 @@ import pytest
 
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.noise_model import noise_of_residuals
-from calflow.diagnosis.screening import Catalogue, by_place
+from calflow.diagnosis.screening import by_place
 from calflow.diagnosis.trial import Linearisation
 from calflow.diagnosis.unexplained import SUSPECTED, UnexplainedStructure, suspected, unexplained
 from calflow.effects import catalogue
@@ -121,7 +121,7 @@ def test_what_stays_unexplained_has_suspects():
     """Fails if errors of another joint are suspected, an improbable cause is, or a probable one with a dependence but the first."""
     known = fitted()
     effects = tuple(catalogue()[name](known.data.robot) for name in (*FAMILY, "nonlinear-joint-stiffness"))
-    scores = Linearisation.at(known, Catalogue(effects, {})).beside.scores
+    scores = Linearisation.at(known, effects).beside.scores
     first, second, third = (
         UnexplainedStructure(inputs, 1e-6, 0.5, (), along=along)
         for inputs, along in ((("q2",), ("q2",)), (("q4", "q3"), ("q4",)), (("q1", "q5"), ()))

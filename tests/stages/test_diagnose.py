@@ -58,7 +58,7 @@ def test_a_confirming_series_without_faults_is_as_its_file_has_it(fitted):
 def test_the_summary_tells_whether_the_extended_fit_converged(fitted, converged):
     """Fails if identify's fit alone is asked, or the extended model's status is lost on the way."""
     last = replace(fitted, fit=replace(fitted.fit, converged=converged, status="Maximum_Iterations_Exceeded"))
-    first = Linearisation.at(fitted, Catalogue((), {})).screened(np.random.default_rng(1))
+    first = Linearisation.at(fitted, ()).screened(np.random.default_rng(1))
     found = Diagnosis(fitted, Extended(last, (), first), DeployedCauses(last, ()), (), None, Catalogue((), {}), 0.01)
     told = diagnosis_summary(found, SimpleNamespace(device=[SimpleNamespace(sigma=3e-5)]))
     assert (told.converged, told.solver.status) == (converged, "Maximum_Iterations_Exceeded")

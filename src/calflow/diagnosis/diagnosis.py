@@ -279,7 +279,7 @@ def search_causes(
         extended = weighed_against(extended, every)
     advance(0.8)
     extended = extended.largest_first()
-    beside = Linearisation.at(extended.fitted, every).beside.scores if left or extended.findings else ()
+    beside = Linearisation.at(extended.fitted, every.effects).beside.scores if left or extended.findings else ()
     judged = [verdict(finding, every.untestable(finding.cause.id)) for finding in extended.findings]
     otherwise = judged or other or (extended.fitted.outlier_factor > 1).any()
     kept = deployed_causes(extended, judged) if otherwise else DeployedCauses(None, ())

@@ -60,7 +60,7 @@ class FittedTrial(Trial[Cause]):
     @cached_property
     def linearisation(self) -> Linearisation[Cause]:
         """The linearised model."""
-        return Linearisation.at(self.fitted, self.catalogue)
+        return Linearisation.at(self.fitted, self.catalogue.effects)
 
     @cached_property
     def cost(self) -> float:
@@ -92,7 +92,7 @@ class FittedTrial(Trial[Cause]):
         """Return the score of a cause's best form beside others, between its neighbours in the scan; None: the given form."""
         if not (finer := self._finer(cause)):
             return None
-        near = Linearisation.at(self.fitted, Catalogue((cause, *finer), {})).forms(beside, cause.place)
+        near = Linearisation.at(self.fitted, (cause, *finer)).forms(beside, cause.place)
         return near[0] if near and near[0].cause != cause else None
 
     def refined(self) -> Iterator[list[Cause]]:
@@ -106,7 +106,7 @@ class FittedTrial(Trial[Cause]):
             moved = [cause for cause in now if cause not in self.causes]
             if not any(finer):
                 break
-            linearisation = Linearisation.at(self.fitted, Catalogue((*moved, *chain.from_iterable(finer)), {}))
+            linearisation = Linearisation.at(self.fitted, (*moved, *chain.from_iterable(finer)))
             for k in (k for k, variants in enumerate(finer) if variants):
                 near = linearisation.forms([cause for cause in now if cause != now[k]], now[k].place)
                 own_cost = next((score.cost for score in near if score.cause == now[k]), np.inf)
@@ -134,7 +134,7 @@ class FittedTrial(Trial[Cause]):
             return finding
         here = {*near, cause.place}
         effects = tuple(effect for effect in self.catalogue.effects if effect.id in dict(here))
-        at_zero = Linearisation.at(self.fitted, replace(self.catalogue, effects=effects), cause)
+        at_zero = Linearisation.at(self.fitted, effects, cause)
         alone = at_zero.apart([cause], here).scores
         places = by_place(alone)
         if cause.place not in places:  # another cause imitates it there, as a spring does a small mass
@@ -199,7 +199,7 @@ def extend(
 
     say receives each step in words, advance the share of the search that is done, which never falls.
     """
-    first = Linearisation.at(start, catalogue).screened(rng)
+    first = Linearisation.at(start, catalogue.effects).screened(rng)
     return cast(FittedTrial, Stepwise(acceptance, rng, say, advance).best(FittedTrial(first, start, catalogue)))
 
 

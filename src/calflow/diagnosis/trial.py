@@ -12,7 +12,8 @@ import numpy as np
 
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import H, Place, Regressors
-from calflow.diagnosis.screening import Catalogue, Family, Score, Screening, by_place
+from calflow.diagnosis.screening import Family, Score, Screening, by_place
+from calflow.effects import Effect
 from calflow.effects.cause import Cause
 
 
@@ -76,14 +77,14 @@ class Linearisation(Generic[H]):
     columns: tuple[np.ndarray, ...]
 
     @staticmethod
-    def at(fitted: Fitted, catalogue: Catalogue, still: Cause | None = None) -> Linearisation[Cause]:
-        """Return a fitted model linearised; its causes are among the candidates, for tests without them.
+    def at(fitted: Fitted, effects: Sequence[Effect], still: Cause | None = None) -> Linearisation[Cause]:
+        """Return a fitted model linearised with effects at zero; its causes are among the candidates, for tests without them.
 
         still is one of its causes that is set to zero.
         """
-        added = (cause for cause in fitted.causes if cause.effect not in catalogue.effects)
+        added = (cause for cause in fitted.causes if cause.effect not in effects)
         at = fitted.still(still) if still else fitted
-        regressors = fitted.regressors((*catalogue.effects, *added), at.fit)
+        regressors = fitted.regressors((*effects, *added), at.fit)
         columns = tuple(at.own(cause)[0] for cause in fitted.causes)
         return Linearisation(fitted.causes, regressors, at.fit.estimate[~at.fit.at_bound], columns)
 
