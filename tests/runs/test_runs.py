@@ -192,6 +192,15 @@ def test_a_stage_takes_others_into_account_only_where_they_hold(finished, monkey
     assert "sample is left out: its results are of other" in finished.calflow("run", "--stage", "last").out
 
 
+def test_a_report_has_what_was_sampled_besides_the_workflow(small):
+    """Fails if the posterior of a study whose workflow does not sample is left out of a report that is made after it."""
+    workflow = (small / "quick.toml").read_text(encoding="utf-8")
+    (small / "quick.toml").write_text(workflow.replace(', "sample"', ""), encoding="utf-8")
+    for asked in ([], ["--stage", "sample"]):
+        assert small.calflow("run", *asked).code == 0
+    assert reasons(small, "--stage", "report") == dict.fromkeys(STAGES) | {"report": "was never run"}
+
+
 # --- The same inputs, the same bytes ---------------------------------------------------------------
 
 

@@ -172,7 +172,10 @@ def _planned_stages(
     needed = _with_needs(only, bases)
     optional = {*bases[only].uses} & {*before} - {*needed}
     early = [bases[name] for name in needed if bases[name] not in stages and name != only]
-    every = dict.fromkeys((*early, *stages, bases[only]))
+    beside = (
+        () if bases[only] in stages else (bases[name] for name in bases if name in optional)
+    )  # as sample before a report
+    every = dict.fromkeys((*early, *stages, *beside, bases[only]))
     return [stage for stage in every if stage.name in optional.union(needed)], frozenset(optional)
 
 

@@ -61,7 +61,7 @@ class Stage:
     settings: type[FileModel]
     run: Callable[[Context], Results]
     needs: tuple[str, ...] = ()
-    uses: tuple[str, ...] = ()  # optional upstream stages, used if the workflow has them
+    uses: tuple[str, ...] = ()  # optional upstream stages, used if the workflow, or a stage by itself, has them
     measured: bool = True
     resumes: tuple[str, ...] = ()
     tables: Mapping[str, type] = field(default_factory=dict, hash=False)
