@@ -192,7 +192,8 @@ def test_every_physical_cause_is_tried():
 
 
 @pytest.mark.parametrize(
-    ("robot", "name"), [(robot, name) for robot in ROBOTS for name in USUAL if (robot, name) != ("serial", "bar-growth")]
+    ("robot", "name"),
+    [(robot, name) for robot in ROBOTS for name in USUAL if (robot, name) != ("serial", "bar-growth")],
 )
 def test_a_cause_moves_the_tool_by_its_size(robot, name):
     """Fails if a cause of size zero does something, or one of usual size hardly anything or far too much."""

@@ -66,6 +66,26 @@ def test_suspected_causes_are_planned_for(small):
     assert with_them["expected_sd_mm"] > without["expected_sd_mm"]
 
 
+def test_the_noise_that_a_study_states_of_its_measurements_is_planned_with(small):
+    """Fails if a plan promises what another device would give, or that of the stage does not come first."""
+    planned = {}
+    asked = 'criterion = "parameters"'
+    for out, stated in (("usual", ""), ("same", "sigma_mm = 0.05"), ("noisier", "sigma_mm = 0.5")):
+        small.edit("study.toml", ('file = "measurements.csv"', f'file = "measurements.csv"\n{stated}'))
+        planned[out], _, _ = selected(small, asked, out=out)
+        planned[f"{out}, of the stage"], _, _ = selected(small, f"{asked}\nsigma_mm = 0.05", out=f"{out} stage")
+        small.edit("study.toml", (f'file = "measurements.csv"\n{stated}', 'file = "measurements.csv"'))
+    expected = {name: row["expected_sd_mm"] for name, row in planned.items()}
+    assert expected["noisier"] > 2 * expected.pop("usual")
+    assert len({float(f"{value:.9g}") for name, value in expected.items() if name != "noisier"}) == 1
+    small.edit("study.toml", ('file = "measurements.csv"', 'file = "measurements.csv"\nsigma_px = 0.2'))
+    (small / "measurements.csv").unlink()
+    (told,) = small.refused("run", "--stage", "select", "--out", small / "px")
+    assert told.endswith(
+        "measurements.sigma_px: expected the unit of what is measured: sigma_m or sigma_mm or sigma_um"
+    )
+
+
 def test_what_cannot_be_planned_is_refused(small):
     """Fails if a cause that poses cannot tell of, or a payload of the task that nobody knows, is passed over."""
     causes = 'also_effects = ["session-frame", "joint-error-map"]'

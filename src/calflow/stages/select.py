@@ -57,10 +57,14 @@ def _unmeasurable(study: Study, settings: SelectSettings) -> list[Problem]:
         return [study.setting_problem("select", message, "measure")]
     if unplaced := _unplaced(study, settings):
         return [unplaced]
-    if settings.sigma_unit not in ("", *(suffixes := SUFFIXES[observed(study, settings).units[0].dimension])):
-        wanted = " or ".join(f"sigma_{unit}" for unit in suffixes)
-        return [study.setting_problem("select", f"expected the unit of what is measured: {wanted}", "sigma")]
-    return []
+    suffixes = SUFFIXES[observed(study, settings).units[0].dimension]
+    message = f"expected the unit of what is measured: {' or '.join(f'sigma_{unit}' for unit in suffixes)}"
+    problems = []
+    if settings.sigma_unit not in ("", *suffixes):
+        problems.append(study.setting_problem("select", message, "sigma"))
+    if study.file.sources and (unit := study.file.sources[(k := _series_index(study, settings))].sigma_unit):
+        problems += [] if unit in suffixes else [study.source_problem(k, message, f"sigma_{unit}")]
+    return problems
 
 
 def named_problems(study: Study, settings: SelectSettings) -> list[Problem]:
@@ -164,9 +168,10 @@ def observed(study: Study, settings: SelectSettings) -> Observation:
 
 
 def planned_of(study: Study, settings: SelectSettings) -> Planned:
-    """Return the planned observation with its noise."""
-    observation = observed(study, settings)
-    sigma = settings.sigma or 0.5 * observation.units[0].usual
+    """Return the planned observation with its noise: as the stage states it, else as its series does."""
+    observation, sources = observed(study, settings), study.file.sources
+    stated = sources[_series_index(study, settings)].sigma if sources else None
+    sigma = settings.sigma or stated or 0.5 * observation.units[0].usual
     return Planned(observation, sigma, PerUnit(((RADIAN, settings.sigma_rotation),)))
 
 

@@ -103,7 +103,8 @@ class SelectSettings(RegionSettings):
     sigma: Sigma | None = Field(
         default=None,
         gt=0,
-        description="standard deviation of the device, per axis, e.g. `sigma_um` (50 µm; in other units half a usual device's)",
+        description="standard deviation of the device, per axis, e.g. `sigma_um`; default: that of `[measurements]`, or else 50 µm "
+        "(in other units half a usual device's)",
     )
     sigma_unit: SkipJsonSchema[str] = ""
     sigma_rotation: Angle = Field(
