@@ -23,6 +23,7 @@ from effects.twins import SHARED, STEPS
 
 VARIANTS = {  # how many forms there are to try, where not one
     "base-compliance": 2,
+    "base-play": 24,
     "nonlinear-joint-stiffness": 6,
     "loaded-transmission-error": 6,
     "torque-backlash": 2,
@@ -70,6 +71,7 @@ def test_variants_are_distinct_and_told_apart(full: Measurements, name: str) -> 
         *STEPS,
         "periodic-joint-error",
         "torque-backlash",
+        "base-play",
         "loaded-transmission-error",
         "gravity-compensator",
     ):
@@ -248,7 +250,7 @@ def gearless(data: Measurements) -> Measurements:
 
 OF_MASSES = (
     "joint-compliance", "nonlinear-joint-stiffness", "torque-backlash", "bearing-compliance", "link-bending",
-    "link-torsion", "base-compliance", "gravity-compensator", "payload-mass", "payload-com", "link-mass",
+    "link-torsion", "base-compliance", "base-play", "gravity-compensator", "payload-mass", "payload-com", "link-mass",
     "friction-wind-up", "base-off-level", "payload-step",
 )  # fmt: skip
 LACKING: list[tuple[str, Callable[[Measurements], Measurements], str]] = [

@@ -46,6 +46,7 @@ AGAINST: dict[str, tuple[str, Callable[[Bench, int], np.ndarray]]] = {
     "joint-backlash": ("", lambda bench, joint: bench.rows.approach[:, joint - 1]),
     "joint-hysteresis": ("deg", lambda bench, joint: np.rad2deg(bench.rows.approach * bench.rows.travel)[:, joint - 1]),
     "bearing-compliance": ("Nm", lambda bench, joint: np.linalg.norm(bench.still.moment[:, joint - 1, :2], axis=1)),
+    "base-play": ("Nm", lambda bench, joint: bench.still.base_moment[:, 0]),
     "base-compliance": ("Nm", lambda bench, joint: np.linalg.norm(bench.still.base_moment[:, :2], axis=1)),
     **dict.fromkeys(("link-bending", "link-torsion"), ("Nm", END)),
     "base-tilt": ("", lambda bench, joint: by_rule(bench)),

@@ -15,7 +15,7 @@ from calflow.effects import Effect
 from calflow.robot.mechanism import Row, State
 from effects.bench import SESSIONS, Bench, made
 from hidden import forms
-from hidden.causes import ARM, COLUMN, WARM_UP, Hidden, base_tilt, gravity_compensator
+from hidden.causes import ARM, COLUMN, ROCKS, WARM_UP, Hidden, base_tilt, gravity_compensator
 from hidden.frame_causes import stepped
 from hidden.random_functions import direction
 from hidden.simulator import Rows
@@ -136,6 +136,14 @@ def base_by_direction(bench: Bench) -> Twin:
     tilt = base_tilt(hidden)
     values = {"base.cx": tilt[0, 0], "base.cy": tilt[1, 1], "base.cxy": tilt[0, 1]}
     return Twin(made(bench, hidden.cause, directions=2), values, hidden)
+
+
+def base_play(bench: Bench) -> Twin:
+    """The simulator's foot changes its side at once, calflow's over a few per cent of the largest rated torque."""
+    hidden = Hidden("base-play", 0, 4e-4)
+    moment = bench.still.base_moment @ np.array([np.cos(ROCKS), np.sin(ROCKS), 0.0])
+    clear = np.abs(moment) > 0.05 * max(bench.rated(joint) for joint in range(1, 7))
+    return Twin(made(bench, "base-play", about=ROCKS), {"base.b": hidden.size}, hidden, clear)
 
 
 def compensator(bench: Bench) -> Twin:
@@ -366,6 +374,7 @@ TWINS: dict[str, Callable[[Bench], Twin]] = {
     "axis-wobble": wobble,
     "base-compliance, alike": one("base-compliance", "base.c", Hidden("base-compliance", 0, 1e-8)),
     "base-compliance, by direction": base_by_direction,
+    "base-play": base_play,
     "gravity-compensator": compensator,
     "payload-mass, all": one("payload-mass", "payloads.e", Hidden("payload-mass", 0, 0.2)),
     "payload-mass, one": one("payload-mass", "full.e", Hidden("payload-mass", 0, 0.2, "full")),

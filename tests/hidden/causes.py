@@ -186,6 +186,15 @@ def base_tilt(h: Hidden) -> Array:
     return h.size * (h.number * np.diag([1.0, 1.0, 0.0]) + (1 - h.number) * np.outer(along, along))
 
 
+ROCKS = 0.46  # rad from x: between the lines that are searched
+
+
+def base_play(h: Hidden, robot: Robot, rows: Rows, state: State) -> Motion:
+    """A foot on loose bolts rocks about a level line at ROCKS, by half the size to the side that the moment presses to."""
+    line = np.array([np.cos(ROCKS), np.sin(ROCKS), 0.0])
+    return _motion(robot, rows, "base", h.size / 2 * np.sign(state.base_moment @ line)[:, None] * line)
+
+
 def link_bending(h: Hidden, robot: Robot, rows: Rows, state: State) -> Motion:
     """A cantilever from this joint's axis to the next, bent by force and moment at its tip; the size is 1/EI."""
     length, along = _beam(robot, h.joint - 1)
@@ -318,6 +327,7 @@ ON_MOTION = {
     "bearing-compliance": bearing_compliance,
     "axis-wobble": axis_wobble,
     "base-compliance": base_compliance,
+    "base-play": base_play,
     "link-bending": link_bending,
     "link-torsion": link_torsion,
     "tool-deflection": tool_deflection,

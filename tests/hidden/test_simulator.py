@@ -43,6 +43,7 @@ USUAL = {
     "link-bending": (2, 1e-7, ""),
     "link-torsion": (2, 1e-7, ""),
     "base-compliance": (0, 1e-8, ""),
+    "base-play": (0, 2e-4, ""),
     "gravity-compensator": (2, 1e3, ""),
     "payload-mass": (0, 0.1, ""),
     "payload-com": (0, 0.05, ""),
