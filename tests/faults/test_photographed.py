@@ -62,6 +62,17 @@ def test_a_sign_is_named_by_the_images_of_one_of_two_targets(made, tmp_path):
     assert (fault.cause, fault.joint, fault.action) == ("joint-sign", 3, "corrected")
 
 
+def test_a_target_that_is_held_out_alone_is_refused(made, tmp_path):
+    """Fails if it ends in a traceback where the target with most images, whose place no fit can tell, has none to fit."""
+
+    def of_two(rows: pd.DataFrame) -> pd.DataFrame:
+        second = rows["pose"] > 12
+        return rows.assign(target=np.where(second, "b", "a"), split=np.where(second, "holdout", "train"))
+
+    with pytest.raises(InputError, match="from where any robot like this one has"):
+        checked(tmp_path, made, of_two)
+
+
 @pytest.mark.parametrize("change", [exchanged, of_other_readings])
 def test_what_no_fit_can_settle_stops_the_run(made, tmp_path, change):
     """Fails if images that are no such robot's are fitted all the same, and it comes out metres long."""

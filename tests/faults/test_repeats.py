@@ -81,11 +81,11 @@ def test_a_pose_whose_repeats_all_scatter_has_no_gross_errors_for_that():
     assert found <= 2
 
 
-def rows_of(folder, change):
+def rows_of(folder, change, case=CASE):
     """Measurements of a robot, the file's positions [mm] moved by what change returns, (n_rows, 3) [m]."""
-    write_case(folder, CASE, np.random.default_rng(3))
+    write_case(folder, case, np.random.default_rng(3))
     table = pd.read_csv(folder / "measurements.csv")
-    table[["x_mm", "y_mm", "z_mm"]] += 1e3 * change(draw(CASE, np.random.default_rng(3)))
+    table[["x_mm", "y_mm", "z_mm"]] += 1e3 * change(draw(case, np.random.default_rng(3)))
     table.to_csv(folder / "measurements.csv", index=False)
     return load_study(folder).measurements()
 
@@ -109,6 +109,22 @@ def test_the_user_is_told_and_the_means_are_without_them(tmp_path):
     with_errors, without = (fit_effects(rows, ("geometry",), starts=1).known for rows in (data, clean))
     apart = np.abs(with_errors.estimate - without.estimate) / np.sqrt(np.diag(without.covariance))
     assert apart.max() < 0.5
+
+
+@pytest.mark.parametrize(
+    ("times", "slipped", "lines", "both"), [(2, [10], (12, 13), True), (5, [10, 12], (12, 14), False)]
+)
+def test_both_of_two_are_said_to_differ_only_where_no_repeat_remains(tmp_path, times, slipped, lines, both):
+    """Fails if two slips in a pose whose other three repeats agree are told as a pair that differs, or such a pair is not."""
+
+    def moved(_):
+        by = np.zeros((120, 3))
+        by[slipped] = np.array([[4e-4, 0.0, 0.0], [0.0, 4e-4, 0.0]])[: len(slipped)]
+        return by
+
+    _, (fault,) = examined(rows_of(tmp_path, moved, replace(CASE, poses=120 // times, repeats=times)))
+    assert (fault.cause, fault.lines) == ("outlier", lines)
+    assert ("of two that differ both" in fault.statement) == both
 
 
 def rests_elsewhere(world):

@@ -133,9 +133,9 @@ class FittedTrial(Trial[Cause]):
         if not near:
             return finding
         here = {*near, cause.place}
-        effects = tuple(effect for effect in self.catalogue.effects if effect.id in dict(here))
-        at_zero = Linearisation.at(self.fitted, effects, cause)
-        alone = at_zero.apart([cause], here).scores
+        ids = {effect_id for effect_id, _ in here}
+        effects = [effect for effect in self.catalogue.effects if effect.id in ids]
+        alone = Linearisation.at(self.fitted, effects, cause).apart([cause], here).scores
         places = by_place(alone)
         if cause.place not in places:  # another cause imitates it there, as a spring does a small mass
             return finding

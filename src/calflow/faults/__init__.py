@@ -82,7 +82,7 @@ def _searched(data: Measurements) -> tuple[Measurements, tuple[Fault, ...], Setu
             raise refuse(message)
         found, setup = _of_places(data.only(positions), CHECKS)
         data = correcting([fault.in_all_rows(np.flatnonzero(positions)) for fault in found])
-    elif seen := places_seen(data):
+    elif (seen := places_seen(data)) is not None:
         data = correcting([told_of_images(fault) for fault in _of_places(seen, (setup_faults,))[0]])
     if not positions.all() and not unsettled(faults):
         data = correcting(gross_rows(data, ~positions))
@@ -91,8 +91,10 @@ def _searched(data: Measurements) -> tuple[Measurements, tuple[Fault, ...], Setu
     return data, tuple(faults), setup
 
 
-def _of_places(data: Measurements, every: Sequence[Check]) -> tuple[list[Fault], Setup]:
-    """Return the faults of rows with positions by these checks, and the set-up of the rows without them."""
+def _of_places(data: Measurements, every: Sequence[Check]) -> tuple[list[Fault], Setup | None]:
+    """Return the faults of rows with positions by these checks, and the set-up of the rows without them; none if none is fitted."""
+    if not data.train.any():
+        return [], None
     setup, faults, checks = Setup.of(data), list[Fault](), [*every]
     reference = Reference.of(data, setup)
     while checks and reference and not unsettled(faults):

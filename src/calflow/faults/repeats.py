@@ -58,7 +58,7 @@ def odd_repeats(data: Measurements) -> tuple[Fault, ...]:
             size = observed[int(k)].units[0].shown(np.linalg.norm(far[off], axis=1))
             poses = list(dict.fromkeys(data.table["pose"][off].astype(str)))
             more = [f"{len(poses) - MOST_POSES} more"] if len(poses) > MOST_POSES else []
-            differ = ", of two that differ both" if np.bincount(group[off]).max() > 1 else ""
+            differ = ", of two that differ both" if set(group[off]) - set(group[rows & ~off]) else ""
             statement = (
                 f"what was measured in LINES{of_series} (pose{'s' * (len(poses) > 1)} {listed(poses[:MOST_POSES] + more)}) is "
                 f"{in_range(size)} {observed[int(k)].units[0].label} off from the other repeats of its pose, "

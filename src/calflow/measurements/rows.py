@@ -64,7 +64,7 @@ class Reported:
 
     needed, optional: columns of measured values; labels: text columns that name the touched object; measured: False for
     target poses, which need no joint readings, order or noise; sigma: dimension of the standard deviation; within:
-    required columns that distinguish the rows of one standstill; notes: text columns that are read but not used.
+    required columns that distinguish the rows of one standstill; notes: text columns that only messages use.
     """
 
     needed: Mapping[str, str]
