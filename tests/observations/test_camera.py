@@ -393,6 +393,28 @@ def test_planned_poses_show_the_whole_board(tmp_path):
         assert ((image > 0) & (image < SIZE)).all()
 
 
+def test_where_no_pose_shows_the_target_it_is_said_why(tmp_path):
+    """Fails if a region that nobody stated is asked about, or a figure that cannot be is found by drawing poses in vain."""
+    from calflow.design.candidates import candidates
+    from calflow.model import build
+
+    robot = Robot.from_toml(write(tmp_path / "robot.toml", library_file("ur5e")))
+    far = {"camera_on": "tool", "target_on": "world", "size": (1280.0, 960.0), "focal": (1150.0, 1150.0),
+           "centre": (640.0, 480.0), "camera_origin": (0.03, -0.07, 0.06), "camera_rotation": (0.0, 0.0, 1.6),
+           "target_origin": (-5.0, 0.12, 0.02), "target_rotation": (np.pi, 0.0, 0.5), "target_size": (0.21, 0.15),
+           "focus": (0.25, 0.7)}  # fmt: skip
+    camera = Camera.planned(Series.of("", "camera", far))
+    with pytest.raises(InputError, match=r"0 can be measured, 12 are needed: as .* z axis turned away from the camera"):
+        candidates(build(robot, ("geometry",), (), (camera,)), 12, "", "tool", None, np.random.default_rng(1), camera)
+    made = photographed(UR5E, True, 4, np.random.default_rng(6), points=COARSE)
+    for setting, told in (
+        ("target_size_mm = [0, 90]", "target_size: expected two"),
+        ("focus_mm = [700, 250]", "focus: expected"),
+    ):
+        with pytest.raises(InputError, match=told):
+            study(tmp_path, made, "ur5e", True, setting).measurements()
+
+
 def test_a_plan_of_images_counts_no_error_that_teaching_the_tool_removes(tmp_path):
     """Fails if a tool that no image shows counts as off, a second one is offered, or an image shows less than the whole board."""
     from calflow.design.planned import Planned, SelectionRequest, Task

@@ -101,9 +101,11 @@ def candidates(
         left, refused = "are left", f" Of those there {refused_words(np.concatenate(refusals))}"
     base = ", ".join(f"{1e3 * value:.0f}" for value in model.robot.base.origin)
     loop = ", and does its four-bar loop close there" if model.robot.loop else ""
+    asked = f"is the region within the robot's reach{loop}? It is in the measuring frame, with the base at ({base}) mm."
+    if observation is not None and touches:  # there is no region then
+        left, asked = "can be measured" if cell is None else left, observation.asked
     raise refuse(
-        f"of {rounds * size} poses within the joint limits only {sum(map(len, kept))} {left}, {number} are needed: "
-        f"is the region within the robot's reach{loop}? It is in the measuring frame, with the base at ({base}) mm.{refused}"
+        f"of {rounds * size} poses within the joint limits only {sum(map(len, kept))} {left}, {number} are needed: {asked}{refused}"
     )
 
 

@@ -80,6 +80,9 @@ class Observation(ABC):
     # The unit of each residual of a row; the noise is stated in the first.
     units: ClassVar[tuple[MeasurementUnit, ...]]
     touches: ClassVar[bool] = False  # whether the robot must touch an object for a row to be measured
+    asked: ClassVar[str] = (
+        "is what it touches, as [measurements.settings] places it, within reach?"  # where hardly any pose can
+    )
     in_station: ClassVar[bool] = False  # whether values are reported in the frame of the series' station
     from_outside: ClassVar[bool] = False  # whether it determines the robot's base in the measuring frame
     of_marker: ClassVar[bool] = True  # whether its values depend on where markers are on their links

@@ -97,8 +97,11 @@ class CameraSettings(FileModel):
             raise ValueError(
                 f"distortion: expected at most {', '.join(DISTORTION[self.lens])} of the lens '{self.lens}'"
             )
-        if min([1.0, *(self.focal or ())]) <= 0:
-            raise ValueError("focal: expected two lengths that are more than nothing")
+        for name, lengths in (("focal", self.focal), ("size", self.size), ("target_size", self.target_size)):
+            if min([1.0, *(lengths or ())]) <= 0:
+                raise ValueError(f"{name}: expected two lengths that are more than nothing")
+        if self.focus is not None and not 0 <= self.focus[0] < self.focus[1]:
+            raise ValueError("focus: expected the nearest and then the furthest distance that is sharp")
         return self
 
 
@@ -149,6 +152,10 @@ class Camera(Observation):
     of_marker = False
     size_setting = "print_scale_sd"
     touches = True
+    asked = (
+        "as [measurements.settings] states camera and target, do they see each other, is the target's z axis turned away from the "
+        "camera, and are its size, the lens and the focus right?"
+    )
 
     @classmethod
     def of(cls, series: Series, table: pd.DataFrame) -> Self:
