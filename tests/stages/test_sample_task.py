@@ -88,3 +88,15 @@ def test_a_task_that_cannot_be_answered_is_refused(small, task, said):
     """Fails if a run begins though its task names a file, a load or a place that is not there."""
     small.edit("study.toml", ("[stages.select]", f"[stages.sample.task]\n{task}\n\n[stages.select]"))
     assert any(said in line for line in small.refused("run"))
+
+
+def test_a_task_s_mistake_is_told_before_anything_is_sampled(small):
+    """Fails if minutes go by before a stage that is run by itself finds its file missing."""
+    assert small.calflow("run", "--stage", "identify").code == 0
+    workflow = (small / "quick.toml").read_text(encoding="utf-8")
+    (small / "quick.toml").write_text(workflow.replace(', "sample"', ""), encoding="utf-8")
+    small.edit("study.toml", ("[stages.select]", '[stages.sample.task]\nposes = "there.csv"\n\n[stages.select]'))
+    answer = small.calflow("run", "--stage", "sample")
+    assert answer.code == 2
+    assert answer.err.strip().endswith("there.csv: no such file")
+    assert not any((small / "runs").rglob("chain.h5"))

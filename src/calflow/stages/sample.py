@@ -53,28 +53,26 @@ def _run(context: Context) -> Results:
     length: SampleSettings = context.settings
     if wrong := too_few_walkers(length.walkers, len(calibration.with_maps_held()[0].model.parameters) + 1):
         raise refuse(wrong, study.path, key="stages.sample.walkers")
+    work = length.task  # its rows are read before sampling, as they may have errors
+    rows = _points(context, work, calibration.model, data.only(data.train)) if work else None
     path = context.folder / "sample" / "chain.h5"
     posterior = sample(calibration, data, path, length, rng=context.rng, say=context.say, advance=context.advance)
     tables = {"sample/posterior.csv": posterior.table, "sample/predictive.csv": posterior.predictive}
     documents = {"sample/summary.json": to_document(posterior.summary)}
-    if context.settings.task is not None:
-        points, summary = _task(context, context.settings.task, calibration, posterior)
+    if work and rows is not None:
+        points, summary = _task(context, work, rows.on(calibration.model.robot), calibration, posterior)
         tables["sample/task.csv"], documents["sample/task_summary.json"] = points, to_document(summary)
     return Results(tables, documents)
 
 
 def _task(
-    context: Context, settings: WorkSettings, calibration: CalibratedModel, posterior: Posterior
+    context: Context, settings: WorkSettings, task: Measurements, calibration: CalibratedModel, posterior: Posterior
 ) -> tuple[pd.DataFrame, TaskSummary]:
     """Return the accuracy of the robot at the points of its task, and a summary."""
-    results, acceptance = context.results, context.study.file.acceptance
+    acceptance = context.study.file.acceptance
     tolerance = settings.tolerance or (acceptance.tolerance if acceptance else None)
     asked = TaskTolerances(tolerance=tolerance, turn_tolerance=settings.turn_tolerance, in_order=settings.path)
     measured = posterior.data.only(posterior.data.train)
-    time_origin = results.document("identify/summary.json", IdentifySummary).time_origin_s
-    task = _points(context.study, settings, calibration.model, measured, time_origin, context.rng("task")).on(
-        calibration.model.robot
-    )
     stated = as_stated(calibration, task, "widen")
     places = taught(stated.calibrated, stated.data, measured)
     errors = point_errors(
@@ -86,24 +84,23 @@ def _task(
     return table, task_summary(stated.calibrated, table, errors, asked, notes)
 
 
-def _points(
-    study: Study, settings: WorkSettings, model: Model, measured: Measurements, time_origin: float | None,
-    rng: np.random.Generator,
-) -> Measurements:  # fmt: skip
+def _points(context: Context, settings: WorkSettings, model: Model, measured: Measurements) -> Measurements:
     """Return the task's rows: every pose with every payload.
 
     Raises:
         InputError: the file has errors, or hardly any pose reaches the region.
     """
+    study = context.study
     if settings.poses:
         path, source = study.path.parent / settings.poses, study.file.sources[0]
+        origin = context.results.document("identify/summary.json", IdentifySummary).time_origin_s
         how = {"separator": source.separator, "decimal": source.decimal}
-        rows = plausible(Measurements.to_predict(path, model.robot, time_origin=time_origin, **how), path)
+        rows = plausible(Measurements.to_predict(path, model.robot, time_origin=origin, **how), path)
         return _with_payloads(rows, settings.payloads) if settings.payloads else rows
     mass = {"": 0.0} | {name: load.mass or 0.0 for name, load in model.robot.payloads.items()}
     payloads = settings.payloads or (max(dict.fromkeys(measured.table["payload"]), key=lambda name: mass[name]),)
     marker = settings.marker or next(iter(model.robot.markers))
-    readings, _ = candidates(model, settings.number, payloads[0], marker, settings.region, rng)
+    readings, _ = candidates(model, settings.number, payloads[0], marker, settings.region, context.rng("task"))
     drawn = Measurements.from_arrays(model.robot, readings, None, payload=payloads[0], marker=marker)
     return _with_payloads(drawn, payloads)
 
