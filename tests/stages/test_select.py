@@ -8,8 +8,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from calflow.files.units import RADIAN
 from calflow.measurements.measurements import Measurements
 from calflow.robot.robot import Robot
+from calflow.stages.select import planned_of
+from calflow.stages.settings import SelectSettings
+from calflow.study import load_study
 
 JOINTS = ["q1_deg", "q2_deg", "q3_deg"]
 TASK = """
@@ -84,6 +88,17 @@ def test_the_noise_that_a_study_states_of_its_measurements_is_planned_with(small
     assert told.endswith(
         "measurements.sigma_px: expected the unit of what is measured: sigma_m or sigma_mm or sigma_um"
     )
+
+
+def test_orientations_are_planned_with_their_stated_noise(small):
+    """Fails if that of the study's measurements is passed over, or does not give way to the stage's."""
+    for stated, expected in (("", 1e-4), ("sigma_rotation_mrad = 0.7", 7e-4)):
+        small.edit("study.toml", ('file = "measurements.csv"', f'file = "measurements.csv"\nkind = "pose"\n{stated}'))
+        study = load_study(small / "study.toml")
+        settings = study.validated_settings("select", SelectSettings)
+        assert planned_of(study, settings).further[RADIAN] == pytest.approx(expected)
+        assert planned_of(study, settings.model_copy(update={"sigma_rotation": 2e-4})).further[RADIAN] == 2e-4
+        small.edit("study.toml", (f'file = "measurements.csv"\nkind = "pose"\n{stated}', 'file = "measurements.csv"'))
 
 
 def test_what_cannot_be_planned_is_refused(small):

@@ -38,6 +38,7 @@ Order = Literal["short", "random"]  # in which poses are measured
 Record = Literal["approach", "travel", "time", "temperature"]  # conditions recorded besides joint readings
 USUAL_DRIFT = 5e-5  # m: of a laser tracker in an afternoon
 USUAL_SIGMA = 5e-5  # m, of a laser tracker on a large robot
+USUAL_TURNING_SIGMA = 1e-4  # rad, of its orientations
 
 
 @dataclass(frozen=True)

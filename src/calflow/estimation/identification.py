@@ -126,7 +126,7 @@ def fit_effects(
     """Fit the errors of the data's nominal robot, one effect after the other.
 
     Args:
-        data: split rows, gross mistakes corrected (see `faults.search`).
+        data: split rows, gross mistakes corrected (see `faults.examined`).
         effects: ids or objects, in the order in which they are added.
         starts: number of starting points of each fit.
         loss: function of a row's squared residual.

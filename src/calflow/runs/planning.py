@@ -172,9 +172,8 @@ def _planned_stages(
     needed = _with_needs(only, bases)
     optional = {*bases[only].uses} & {*before} - {*needed}
     early = [bases[name] for name in needed if bases[name] not in stages and name != only]
-    beside = (
-        () if bases[only] in stages else (bases[name] for name in bases if name in optional)
-    )  # as sample before a report
+    # A stage beside the workflow's that this one takes, as sample, comes before it.
+    beside = [] if bases[only] in stages else [bases[name] for name in bases if name in optional]
     every = dict.fromkeys((*early, *stages, *beside, bases[only]))
     return [stage for stage in every if stage.name in optional.union(needed)], frozenset(optional)
 

@@ -23,9 +23,8 @@ from calflow.sampling.posterior import Posterior, shifts
 
 Slope = Callable[[Model, np.ndarray, np.ndarray], np.ndarray]  # (model, estimate, packed rows) -> Jacobian
 At = Callable[[np.ndarray], np.ndarray]  # packed rows -> errors (n_draws, n_rows, 3), or axes (n_rows, 3, 3)
-Taught = Sequence[
-    tuple[np.ndarray, np.ndarray]
-]  # of each marker, its points in the task and packed rows at which it is taught
+# Of each marker, its points in the task and packed rows at which it is taught.
+Taught = Sequence[tuple[np.ndarray, np.ndarray]]
 TASK_DRAWS = 1000
 PROMISED_SHARE = 0.95  # probability of the stated radius
 LIKELY = 0.95  # least probability for a point to count as within tolerance

@@ -18,7 +18,7 @@ from calflow.design.isolability import (
     isolability_summary,
 )
 from calflow.design.measuring_order import DriftPull, drift_words, sides_words
-from calflow.design.planned import Planned, Record, SelectionRequest, Task, stated_poses
+from calflow.design.planned import USUAL_TURNING_SIGMA, Planned, Record, SelectionRequest, Task, stated_poses
 from calflow.design.selection import Certificate, Observability, PlannedPose, Selection, select
 from calflow.design.worth import HowMany, Worth, worth_words
 from calflow.diagnosis import FALSE_ALARM
@@ -170,9 +170,10 @@ def observed(study: Study, settings: SelectSettings) -> Observation:
 def planned_of(study: Study, settings: SelectSettings) -> Planned:
     """Return the planned observation with its noise: as the stage states it, else as its series does."""
     observation, sources = observed(study, settings), study.file.sources
-    stated = sources[_series_index(study, settings)].sigma if sources else None
-    sigma = settings.sigma or stated or 0.5 * observation.units[0].usual
-    return Planned(observation, sigma, PerUnit(((RADIAN, settings.sigma_rotation),)))
+    source = sources[_series_index(study, settings)] if sources else None
+    sigma = settings.sigma or (source and source.sigma) or 0.5 * observation.units[0].usual
+    turning = settings.sigma_rotation or (source and source.sigma_rotation) or USUAL_TURNING_SIGMA
+    return Planned(observation, sigma, PerUnit(((RADIAN, turning),)))
 
 
 def _unplaced(study: Study, settings: SelectSettings) -> Problem | None:

@@ -107,8 +107,10 @@ class SelectSettings(RegionSettings):
         "(in other units half a usual device's)",
     )
     sigma_unit: SkipJsonSchema[str] = ""
-    sigma_rotation: Angle = Field(
-        default=1e-4, gt=0, description="the same for orientations, e.g. `sigma_rotation_mrad` (0.1 mrad)"
+    sigma_rotation: Angle | None = Field(
+        default=None,
+        gt=0,
+        description="the same for orientations, e.g. `sigma_rotation_mrad`; default: that of `[measurements]`, or else 0.1 mrad",
     )
     measure: str = Field(
         default="", description="name of the series as which poses will be measured; default: the first"

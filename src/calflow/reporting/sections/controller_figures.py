@@ -73,10 +73,8 @@ class Figure(ControllerFigure):
 
 def reported_figures(material: Material) -> dict[str, dict[str, Figure]]:
     """Return the robot's figures by part (`joint 1`, `loop`, `base`, `marker NAME`) and symbol, beside those of the robot file."""
-    robot, rows = (
-        material.robot,
-        [row for row in material.figures.parameters if row.effect == Geometry.id and not row.fixed],
-    )
+    robot = material.robot
+    rows = [row for row in material.figures.parameters if row.effect == Geometry.id and not row.fixed]
     parts_of = {f"joint{i}": f"joint {i}" for i in range(1, robot.n_joints + 1)}
     parts_of |= {name: f"marker {name}" for name in robot.markers}
     estimates = {(parts_of.get(row.part, row.part), row.symbol): row for row in rows}
