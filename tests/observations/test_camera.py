@@ -446,6 +446,12 @@ def test_a_plan_of_images_counts_no_error_that_teaching_the_tool_removes(tmp_pat
     assert plan.how_many.expected_sd_mm == pytest.approx(1e3 * np.sqrt((left**2).sum() / len(there)), rel=1e-6)
     assert plan.how_many.expected_sd_mm < 0.5
     assert not any("marker" in row.addition for row in plan.worth)
+    unsure = Camera.planned(Series.of("", "camera", places | {"print_scale_sd": 3e-3}))
+    model = build(robot, ("geometry",), (), (unsure,))
+    measured, *additions = select(model, replace(asked, planned=Planned(unsure, 0.2))).worth
+    assert measured.expected_sd_mm > 2 * plan.how_many.expected_sd_mm
+    assert additions[0].addition == "the size of 'target' known exactly"  # no further image tells it
+    assert additions[0].expected_sd_mm == pytest.approx(plan.how_many.expected_sd_mm, rel=0.3)
 
 
 def test_a_task_is_promised_what_teaching_the_tool_leaves(tmp_path):

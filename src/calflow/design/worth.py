@@ -26,6 +26,7 @@ from calflow.robot.parts import Marker, Named
 
 ASIDE = 0.3  # m: distance of a hypothetical second marker from the first
 SECOND = "second"
+EXACT = 1e6  # information of a size that counts as known, relative to its prior's
 PARAMETERS_NAMED = 3  # largest number of parameters named
 LEAST_GAIN = 1.0  # percent: least reduction of a named parameter's standard deviation
 LEAST_SHARE = 0.01  # least contribution of a named parameter to the tool's error
@@ -97,6 +98,10 @@ class PlanInformation:
             yield words, n, 2 * n, current + self._second_marker()
         if isinstance(self.request.planned.observation, Position):
             yield "a second station that measures every pose too", n, 2 * n, current + self._second_station()
+        for k, parameter in enumerate(self.model.parameters):
+            if parameter.symbol == "scale":  # of what is observed: a board's print, a wire
+                exact = np.diag(EXACT * (np.arange(len(current)) == k))
+                yield f"the size of '{parameter.part}' known exactly", n, n, current + exact
         yield "every pose measured twice", n, 2 * n, information(self.own, current)
         if more := len(self.further):
             yield f"{more} further poses", n + more, n + more, information(self.further, current)
