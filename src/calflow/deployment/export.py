@@ -235,7 +235,7 @@ def export(
             raise ValueError("a controller's own files take zeros fitted alone")
         return _controller_file(cast("Maker", to), levels, maker or calibrated.model.robot, beside or {})
     if beside:
-        raise refuse(f"expected nothing beside: '{to}' states the whole robot", key="beside")
+        raise refuse(f"expected no file: '{to}' states the whole robot", key="beside")
     worth = (levels.words,) if levels else ()
     figures: FiguresAlone | CalibratedModel = calibrated
     cost = cost_of_each

@@ -187,3 +187,5 @@ def test_zeros_are_fitted_for_what_the_file_holds(finished):
     assert set(values("kuka-dat", made.out)) == {f"$MAMES[{k}]" for k in (2, 3)}  # the first turns the base
     (told,) = finished.refused("export", finished / "runs", "--to", "kuka-dat", "--beside", finished / "nowhere.dat")
     assert "no such file" in told
+    (told,) = finished.refused("export", finished / "runs", "--to", "urdf", "--beside", finished / "machine.dat")
+    assert told.endswith("beside: expected no file: 'urdf' states the whole robot")
