@@ -22,6 +22,7 @@ SCAN = 20  # forms from which on they are a scan through the data
 FITTED = ("geometry", "joint-compliance")  # what a study begins with
 STANDS = Base((2.8, -0.6, -0.7))  # the measuring device is off to the side
 TRAVEL = 3.0  # m of rail
+HH800 = Path(__file__).parents[2] / "studies" / "hh800" / "robot.toml"
 EASY = np.radians(10)  # kept from the limits
 
 
@@ -74,7 +75,7 @@ class Bench:
 
 @lru_cache
 def benches() -> tuple[Bench, ...]:
-    """The robot of the template, the same on a rail, with its masses unknown, and with rows that are images."""
+    """The robot of the template, on a rail, with its masses unknown, with rows that are images, and one with rods."""
     with resources.as_file(resources.files("calflow.templates") / "robot.toml") as path:
         plain = Robot.from_toml(Path(path))
     joints = tuple(replace(joint, gear_ratio=120.0) for joint in plain.joints)
@@ -87,7 +88,10 @@ def benches() -> tuple[Bench, ...]:
     plate = np.random.default_rng(1).uniform(-0.12, 0.12, (ROWS, 2))
     points = {"px_x": plate[:, 0], "px_y": plate[:, 1], "px_z": 0.0}
     images = replace(every[0], table=every[0].table.assign(u=0.0, v=0.0, **points))
-    return tuple(Bench(data.robot, data) for data in (*every, images))
+    heavy = Robot.from_toml(HH800)
+    counterweight = replace(heavy.joints[2], mass=2000.0, com=(0.25, 0.8, 0.0))  # else the rod's force keeps its sign
+    rods = replace(heavy, joints=(*heavy.joints[:2], counterweight, *heavy.joints[3:]))
+    return tuple(Bench(data.robot, data) for data in (*every, images, _measured(rods)))
 
 
 def _measured(robot: Robot) -> Measurements:

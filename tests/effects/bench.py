@@ -20,7 +20,7 @@ BASE = ((3500.0, -500.0, -800.0), (0.4, -0.3, 165.0))  # mm and degrees: away fr
 EVERYTHING = ("approach", "travel", "time", "temperature")
 ROBOTS = ("serial", "hh800")
 # Neither robot has a rail, nor a camera.
-UNSHOWN = ("axis-straightness", "camera-slip", "target-slip", "lens-growth", "lens-step")
+UNSHOWN = ("axis-straightness", "rod-play", "camera-slip", "target-slip", "lens-growth", "lens-step")
 SESSIONS = ("mon", "tue", "wed", "fri")
 
 

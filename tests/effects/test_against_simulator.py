@@ -135,7 +135,8 @@ OF_ONE_CONVENTION = {
     "print-scale",
     "target-slip",
     "time-offset",
-}  # their parameters are frames' own, sessions', rails', targets', or times
+    "rod-play",
+}  # their parameters are frames' own, sessions', rails', targets', loops', or times
 
 
 @pytest.fixture(scope="module")

@@ -97,7 +97,7 @@ class Case:
     "session" and "sigma"; effects are the study's. The real robot's joints are compliant where effects or hidden say so.
     base replaces the robot file's (origin in mm, rotation in degrees). relative_sd [m] is in the robot file where the
     markers keep their places beside the first. settings is text at the end of study.toml. background is what no catalogue has.
-    The robot stands for pause [s] after half of the poses.
+    The robot stands for pause [s] after half of the poses. A counterweight behind joint 3 lifts the arm where it carries nothing.
     """
 
     name: str = "case"
@@ -107,6 +107,7 @@ class Case:
     sigma: float = 4e-5
     poses: int = 120
     payloads: tuple[str, ...] = ("none", "half", "full")
+    counterweight: bool = False
     markers: int = 1
     relative_sd: float = 0.0
     repeats: int = 1
@@ -192,6 +193,8 @@ def stated_tables(case: Case) -> dict[str, Any]:
     tables["payloads"] = {name: full | {"mass_kg": mass} for name, mass in zip(PAYLOADS, masses, strict=True)}
     for joint, ratio in zip(tables["joints"], GEARS, strict=True):
         joint["gear_ratio"] = ratio
+    if case.counterweight:
+        tables["joints"][2] |= {"mass_kg": 2000, "com_m": [0.25, 0.8, 0.0]}
     ((_, marker),) = tables["markers"].items()
     first = np.array(marker.get("point_mm") or 1000 * np.array(marker["point_m"]))
     points = [(first + 1000 * np.array(aside)).tolist() for aside in MARKERS[: case.markers]]

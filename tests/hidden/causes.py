@@ -10,7 +10,7 @@ from hidden import forms, frame_causes, joint_causes
 from hidden.file_faults import ON_TABLE
 from hidden.frame_causes import stepped
 from hidden.random_functions import direction, random_function
-from hidden.simulator import Array, Motion, Robot, Rows, State, carried, equilibrium, tool_point
+from hidden.simulator import Array, Motion, Robot, Rows, State, carried, close, equilibrium, tool_point
 from hidden.tool_causes import ON_TOOL
 
 WIND_UP = np.deg2rad(5.0)  # travel over which friction winds a joint up
@@ -219,6 +219,19 @@ def _beam(robot: Robot, i: int) -> tuple[float, Array]:
     return length, line / length
 
 
+def rod_play(h: Hidden, robot: Robot, rows: Rows, state: State) -> Motion:
+    """The loop's rod is longer or shorter by half the size, so that the link it holds gives way to its load."""
+    if robot.loop is None:
+        return Motion.none(len(rows), robot.n)
+    loop, closed = robot.loop, state.frames.closure
+    load, crank = np.sign(state.moment[:, loop.joint, 2]), np.angle(closed.crank)
+    rods = (loop.bars + way * h.size / 2 * np.array([0, 1, 0]) for way in (-1, 0, 1))
+    rockers = [close(replace(loop, bars=bars), closed.ground, closed.s, crank).rocker for bars in rods]
+    turns = [np.angle(rocker / rockers[1]) for rocker in rockers]
+    given = np.where(np.sign(turns[2]) == load, turns[2], turns[0])
+    return _motion(robot, rows, "bearing", given[:, None] * np.array([0.0, 0.0, 1.0]), loop.joint)
+
+
 def gravity_compensator(h: Hidden, state: State) -> Array:
     """Torque [Nm] on joint 2 of a gas cylinder that pushes with a constant force between column and arm."""
     joint = state.frames.joints[1]
@@ -328,6 +341,7 @@ ON_MOTION = {
     "axis-wobble": axis_wobble,
     "base-compliance": base_compliance,
     "base-play": base_play,
+    "rod-play": rod_play,
     "link-bending": link_bending,
     "link-torsion": link_torsion,
     "tool-deflection": tool_deflection,

@@ -116,10 +116,15 @@ NEEDS = {
         "a linear axis",
         lambda robot, given: any(joint.kind == "prismatic" for joint in robot.joints),
     ),
+    "loop": Need(
+        "a [loop] in the robot file", "the rods that drive a joint", lambda robot, given: robot.loop is not None
+    ),
     "range": _recorded(
         "the device's place, tracker_mm in the study's [measurements]", "where the instrument stands", "range"
     ),
 }
+
+ABSENT = {"slide": "the robot has no prismatic joint", "loop": "no rods drive a joint"}  # what no record can supply
 
 
 @dataclass(frozen=True)
@@ -328,8 +333,8 @@ class Effect(ABC):
     @classmethod
     def superseded(cls, robot: Robot, data: Measurements) -> str:
         """Return why this robot and its device cannot have it, whatever is recorded (no rail, no camera); empty where they may."""
-        if "slide" in cls.needs and not NEEDS["slide"].met(robot, ()):
-            return "the robot has no prismatic joint"
+        if absent := [ABSENT[need] for need in cls.needs if need in ABSENT and not NEEDS[need].met(robot, ())]:
+            return absent[0]
         if cls.imaged is not None and cls.imaged != data.in_images:
             return "no target is photographed" if cls.imaged else "what slips is the camera or its target"
         replaced = cls.stands_in and robot.has_masses

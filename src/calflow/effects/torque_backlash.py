@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import ClassVar, Self
 
 import casadi as ca
 import numpy as np
@@ -29,7 +29,7 @@ class TorqueBacklash(JointError):
     forms = dict.fromkeys(CROSSINGS, "")
     words = Words("backlash under load", "the gears change their flank where the load changes its sign", "play")
     family = NONLINEAR
-    needs = ("torques",)
+    needs: ClassVar[tuple[str, ...]] = ("torques",)
     told_by = "measure some poses again with a load that turns the joint's torque around"
 
     def finer(self, data: Measurements) -> tuple[Self, ...]:
