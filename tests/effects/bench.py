@@ -19,7 +19,7 @@ from hidden.simulator import Rows, equilibrium
 BASE = ((3500.0, -500.0, -800.0), (0.4, -0.3, 165.0))  # mm and degrees: away from the measuring device
 EVERYTHING = ("approach", "travel", "time", "temperature")
 ROBOTS = ("serial", "hh800")
-# Neither robot has a rail, nor a camera.
+# The serial arm has no rail, no rod and no camera.
 UNSHOWN = ("axis-straightness", "rod-play", "camera-slip", "target-slip", "lens-growth", "lens-step")
 SESSIONS = ("mon", "tue", "wed", "fri")
 
