@@ -144,8 +144,8 @@ def test_bounds_and_defaults_are_in_the_unit_of_their_key(kind):
     assert json.dumps(schema(kind))
     assert schema(kind, "2020-12")["$schema"].endswith("2020-12/schema")
     select = schema("study", "2020-12")["$defs"]["SelectSettings"]["properties"]
-    assert select["sigma_rotation_mrad"]["default"] == 0.1
-    assert select["sigma_rotation_urad"]["default"] == 100
+    assert select["drift_mm"]["default"] == 0.05
+    assert select["drift_um"]["default"] == 50
 
 
 def test_the_keys_of_a_stated_parameter_are_completed():

@@ -62,8 +62,10 @@ def _unmeasurable(study: Study, settings: SelectSettings) -> list[Problem]:
     problems = []
     if settings.sigma_unit not in ("", *suffixes):
         problems.append(study.setting_problem("select", message, "sigma"))
-    if study.file.sources and (unit := study.file.sources[(k := _series_index(study, settings))].sigma_unit):
-        problems += [] if unit in suffixes else [study.source_problem(k, message, f"sigma_{unit}")]
+    if study.file.sources:
+        k = _series_index(study, settings)
+        if (unit := study.file.sources[k].sigma_unit) not in ("", *suffixes):
+            problems.append(study.source_problem(k, message, f"sigma_{unit}"))
     return problems
 
 
