@@ -26,7 +26,7 @@ class GearRatioError(JointError):
 
     id = "gear-ratio-error"
     title = "gear ratio error"
-    words = Words("gear ratio error", "the joint turns more, or less, than its reading says", "excess")
+    words = Words("gear ratio error", "the joint moves too far or too little, by its gear or a hose's pull", "excess")
     family = TRANSMISSION
     readable = {"1": (1e6, "µrad/rad")}
     side_by_side = True
