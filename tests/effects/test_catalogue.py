@@ -24,6 +24,7 @@ from effects.twins import SHARED, STEPS
 VARIANTS = {  # how many forms there are to try, where not one
     "base-compliance": 2,
     "base-play": 24,
+    "link-torsion": 2,
     "nonlinear-joint-stiffness": 6,
     "loaded-transmission-error": 6,
     "torque-backlash": 2,

@@ -206,7 +206,17 @@ def link_bending(h: Hidden, robot: Robot, rows: Rows, state: State) -> Motion:
 
 
 def link_torsion(h: Hidden, robot: Robot, rows: Rows, state: State) -> Motion:
-    """Twist about the line to the next joint under the moment carried at the tip; the size is 1/GJ."""
+    """Twist about the line to the next joint under the moment carried at the tip; the size is 1/GJ.
+
+    Of a link "to the wrist" about the line to the far end of the next joint's offset, under the moment at its own joint.
+    """
+    if h.extra == "to the wrist":
+        i = h.joint - 1
+        next_axis = np.array([0.0, -np.sin(robot.alpha[i + 1]), np.cos(robot.alpha[i + 1])])
+        line = np.array([robot.a[i + 1], 0.0, robot.d[i]]) + robot.d[i + 1] * next_axis
+        return _motion(
+            robot, rows, "bearing", h.size * (state.moment[:, i] @ line)[:, None] * line / np.linalg.norm(line), i
+        )
     length, along = _beam(robot, h.joint - 1)
     twist = h.size * length * (state.tip_moment[:, h.joint - 1] @ along)[:, None] * along
     return _motion(robot, rows, "tip", np.concatenate([np.zeros_like(twist), twist], axis=1), h.joint - 1)
