@@ -50,12 +50,16 @@ JOINT_ALONE = "move the joint alone over all its travel, and measure closely on 
 
 @dataclass(frozen=True)
 class Need:
-    """A requirement, in terms of files and in plain words; met: whether robot or recorded conditions fulfil it."""
+    """A requirement, in terms of files and in plain words; met: whether robot or recorded conditions fulfil it.
+
+    absent: of what no record can supply, why a robot cannot have the effect without it.
+    """
 
     words: str
     plain: str
     met: Callable[[Robot, tuple[str, ...]], bool]
     recorded: bool = False
+    absent: str = ""
 
 
 def _recorded(words: str, plain: str, condition: str) -> Need:
@@ -115,16 +119,18 @@ NEEDS = {
         "a prismatic joint in the robot file",
         "a linear axis",
         lambda robot, given: any(joint.kind == "prismatic" for joint in robot.joints),
+        absent="the robot has no prismatic joint",
     ),
     "loop": Need(
-        "a [loop] in the robot file", "the rods that drive a joint", lambda robot, given: robot.loop is not None
+        "a [loop] in the robot file",
+        "the rods that drive a joint",
+        lambda robot, given: robot.loop is not None,
+        absent="no rods drive a joint",
     ),
     "range": _recorded(
         "the device's place, tracker_mm in the study's [measurements]", "where the instrument stands", "range"
     ),
 }
-
-ABSENT = {"slide": "the robot has no prismatic joint", "loop": "no rods drive a joint"}  # what no record can supply
 
 
 @dataclass(frozen=True)
@@ -333,8 +339,9 @@ class Effect(ABC):
     @classmethod
     def superseded(cls, robot: Robot, data: Measurements) -> str:
         """Return why this robot and its device cannot have it, whatever is recorded (no rail, no camera); empty where they may."""
-        if absent := [ABSENT[need] for need in cls.needs if need in ABSENT and not NEEDS[need].met(robot, ())]:
-            return absent[0]
+        for need in unmet_needs(cls.needs, robot, ()):
+            if NEEDS[need].absent:
+                return NEEDS[need].absent
         if cls.imaged is not None and cls.imaged != data.in_images:
             return "no target is photographed" if cls.imaged else "what slips is the camera or its target"
         replaced = cls.stands_in and robot.has_masses

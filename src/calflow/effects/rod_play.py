@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from calflow.effects.base import NONLINEAR, Term, Variable, Words
+from calflow.effects.base import Term, Variable, Words
 from calflow.effects.torque_backlash import TorqueBacklash
 from calflow.robot.mechanism import Deflection, Row, State, nominal_dimensions, pose
 
@@ -25,7 +25,6 @@ class RodPlay(TorqueBacklash):
     words = Words(
         "play of the rod", "the rod's bearings change their side where the force in it changes its sign", "play"
     )
-    family = NONLINEAR
     needs = ("masses", "loop")
     told_by = "watch both ends of the rod while a load turns the force in it around"
 
