@@ -52,7 +52,11 @@ class PayloadCom(Effect):
 
     id = "payload-com"
     title = "payload centre of mass"
-    words = Words("payload centre error", "the payload's centre of mass is not where the robot file says", "distance")
+    words = Words(
+        "payload centre error",
+        "the payload's centre of mass is not where the robot file says, or the last link's length is wrong and a fitted tool hides it",
+        "distance",
+    )
     whole = "payloads"
     needs = ("masses", "payload")
     told_by = "weigh the payload on two supports"
