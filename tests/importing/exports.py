@@ -188,6 +188,15 @@ def two_recordings(folder: Path, of: Campaign) -> list[Path]:
     return [folder / "joints.csv", folder / "stream.csv"]
 
 
+def late_clock(folder: Path, of: Campaign) -> list[Path]:
+    """Joint states, and a point of each standstill by a tracker whose clock is 1.6 s late, its axes in one word with `act`."""
+    time, q, _ = recorded(of, 25.0, 9, 0.0)
+    (folder / "joints.csv").write_text(",".join(["time", *NAMES]) + "\n" + lines(np.column_stack([time, q]), ","))
+    rows = np.column_stack([1.0 + 1.6 + 3.5 * np.arange(len(of.q)), 1e3 * of.points])
+    (folder / "points.csv").write_text("time,Xact,Yact,Zact\n" + lines(rows, ","))
+    return [folder / "joints.csv", folder / "points.csv"]
+
+
 def _stamped(store: object, time: float, seq: dict[str, int]) -> object:
     kinds = store.types  # type: ignore[attr-defined]
     stamp = kinds["builtin_interfaces/msg/Time"](sec=int(time), nanosec=round(1e9 * (time % 1)) % 10**9)
@@ -258,6 +267,7 @@ EXPORTS: dict[str, Callable[[Path, Campaign], list[Path]]] = {
     "names over names": repeated_names,
     "controller's recording": rtde,
     "two recordings": two_recordings,
+    "a clock that is late": late_clock,
     "bag of ROS 2": bag_of_ros2,
     "bag of ROS 1": bag_of_ros1,
 }

@@ -54,7 +54,7 @@ class PayloadCom(Effect):
     title = "payload centre of mass"
     words = Words(
         "payload centre error",
-        "the payload's centre of mass is not where the robot file says, or the last link's length is wrong and a fitted tool hides it",
+        "the payload's centre of mass is not where the robot file says, or a fitted tool hides a wrong length of the last link",
         "distance",
     )
     whole = "payloads"

@@ -22,6 +22,8 @@ JOINT = re.compile(r"(?:q|j|a|ax|joint|axis|achse|gelenk|theta|th|θ|jnt|pos|pos
 EXTERNAL = re.compile(r"(?:e|eax|extax|ext)(\d+)")
 JOINT_WORDS = {"q", "j", "a", "joint", "joints", "axis", "achse", "gelenk", "theta", "th", "θ", "jnt", "position", "positions",
                "angle", "angles"}  # fmt: skip
+_QUALIFIER = "|".join(sorted(PLANNED | ACTUAL | DEVIATIONS))
+AXIS = re.compile(rf"(?P<before>p|t|pos|{_QUALIFIER})?(?P<axis>[xyz])(?P<after>{_QUALIFIER})?(?P<number>\d*)")
 LETTERS = ("a", "b", "c", "d", "e", "f", "g")  # letters by which some files name the joints
 POSE_WORDS = {"pose", "point", "punkt", "position", "pos", "nr", "no", "number", "nummer", "id", "index", "idx", "messpunkt",
               "target", "p", "pt", "name", "label", "image", "config", "configuration", "sample"}  # fmt: skip
@@ -131,12 +133,11 @@ def _with_external(members: dict[int, int], external: Mapping[int, int], robot: 
 
 
 def _axis(words: Sequence[str]) -> tuple[Group, str] | None:
-    """The other words of a point column's name, including a number after the letter, and the axis."""
-    for k, word in enumerate(words):
-        if match := re.fullmatch(r"([xyz])(\d*)", word):
-            return (*words[:k], *([match[2]] if match[2] else []), *words[k + 1 :]), match[1]
-        if match := re.fullmatch(r"(?:d|δ)([xyz])", word):
-            return ("d", *words[:k], *words[k + 1 :]), match[1]
+    """The other words of a point column's name, including those in one with the axis (`Xist`, `px`, `x2`), and the axis."""
+    for k, word in sorted(enumerate(words), key=lambda numbered: len(numbered[1])):
+        if match := AXIS.fullmatch(word):
+            beside = filter(None, match.group("before", "after", "number"))
+            return (*words[:k], *beside, *words[k + 1 :]), match["axis"]
     return None
 
 

@@ -259,9 +259,13 @@ def _by_time(
             seen = np.full(len(stood), True)
             if of_other.points:
                 seen = np.isfinite(points.columns[next(iter(of_other.points.values()))["x"]].figures)
-            note = f"{len(stood)} standstills in {first.title}, at {int(seen.sum())} of which {other.title} has points"
-            return _paired(joints.rows(seen), of_one, points.rows(seen), of_other, note)
-        if is_recording(theirs_at):
+            # As many points, some of them of no standstill: the clocks are seconds apart.
+            if seen.all() or len(stood) != len(other):
+                note = (
+                    f"{len(stood)} standstills in {first.title}, at {int(seen.sum())} of which {other.title} has points"
+                )
+                return _paired(joints.rows(seen), of_one, points.rows(seen), of_other, note)
+        elif is_recording(theirs_at):
             places = (
                 next(iter(of_other.points.values())).values()
                 if of_other.points
