@@ -256,7 +256,7 @@ def export(
     chain, drives_of = rigid_chain(robot), [(drives or {}).get(joint.name, Drive()) for joint in robot.joints]
     more = {"ur-calibration": (HASH,), "urdf": said_of_drives(chain, drives_of)}.get(to, ())
     notes = (*worth, *_said(lost), *said_of_variables(robot), *more)
-    heading = _heading(notes)
+    heading = "; ".join(("calibrated figures, SI units", *notes))
     writers: dict[str, Callable[[], str]] = {
         "json": lambda: json_text(chain, {**_figures(calibrated, robot, lost), "notes": notes}),
         "mjcf": lambda: mjcf_text(chain, heading),
@@ -306,10 +306,6 @@ def _figures(calibrated: CalibratedModel, robot: Robot, lost: Sequence[NotExport
     ]
     left_out = [asdict(loss) for loss in lost]
     return {"figures": json.loads(robot.canonical()), "parameters": parameters, "left_out": left_out}
-
-
-def _heading(notes: Sequence[str]) -> str:
-    return "; ".join(("calibrated figures, SI units", *notes))
 
 
 def _zeros_alone(calibrated: CalibratedModel, robot: Robot, conditions: np.ndarray) -> NotExported:

@@ -29,7 +29,6 @@ CHUNK = 20_000  # rows, over all hypotheses, that are in memory at once
 FACTORS = {"deg": np.pi / 180, "rad": 1.0, "mrad": 1e-3, "si": 1.0, "mm": 1e-3, "m": 1.0}
 LARGEST_TURN = 2.2 * np.pi  # rad: larger readings are in degrees
 SCALES = {"mm": 1e-3, "m": 1.0, "in": 0.0254, "cm": 1e-2, "um": 1e-6}
-NEAR_SCALE = 0.15  # largest deviation of the points' scale from that of a unit
 
 
 @dataclass(frozen=True)

@@ -6,10 +6,11 @@ A `Dialect` states how a program writes its tables: separator, decimal sign, enc
 from __future__ import annotations
 
 import csv
+import io
 import json
 import zipfile
 from collections import Counter
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -156,14 +157,9 @@ def read_text_of(path: Path, dialect: Dialect) -> str:
 def csv_lines(text: str, separator: str) -> Any:
     """Return a CSV reader: an iterator over the rows as lists of cells, with the attribute `line_num`."""
     blanks = separator == " "
-    lines = (line.strip().replace("\t", " ") for line in text.splitlines()) if blanks else _whole_lines(text)
+    plain = (line.strip().replace("\t", " ") for line in text.splitlines())
+    lines = plain if blanks else io.StringIO(text, newline="")
     return csv.reader(lines, delimiter=separator, skipinitialspace=blanks, strict=True)
-
-
-def _whole_lines(text: str) -> Iterator[str]:
-    import io
-
-    return iter(io.StringIO(text, newline=""))
 
 
 def _text_cells(path: Path, dialect: Dialect, named: Collection[str]) -> pd.DataFrame:
@@ -172,8 +168,6 @@ def _text_cells(path: Path, dialect: Dialect, named: Collection[str]) -> pd.Data
     Raises:
         InputError: rows differ in length from the header, a cell spans several lines, or a column to read occurs twice.
     """
-    import io
-
     text = read_text_of(path, dialect)
     names, widest = _checked_shape(text, path, dialect, named)
     names += [""] * (widest - len(names))

@@ -49,6 +49,7 @@ class Artefact(Touched):
     units = (METRE,) * 3
     size_setting = "scale_sd"
     labelled_by = ("placement",)
+    of_row = 3  # the point
 
     @classmethod
     def planned(cls, series: Series) -> Self:
@@ -71,11 +72,6 @@ class Artefact(Touched):
             parameters.append(Parameter(self.id, self.part, "scale", "1", sd, -FURTHEST * sd, FURTHEST * sd,
                                    meaning=f"scale of {self.part}"))  # fmt: skip
         return tuple(parameters)
-
-    @property
-    def reports(self) -> int:
-        """Number of values: the point and the one-hot placement."""
-        return 3 + len(self.names)
 
     def reported(self, table: pd.DataFrame) -> np.ndarray:
         """Return the points and the one-hot placements."""

@@ -222,6 +222,7 @@ class OfThings(Observation):
     nominal: tuple[Six, ...] = ()
 
     labelled_by: ClassVar[tuple[str, ...]] = ()
+    of_row: ClassVar[int] = 0  # number of values in a row's `reported` before the one-hot object
 
     @classmethod
     def of(cls, series: Series, table: pd.DataFrame) -> Self:
@@ -232,6 +233,11 @@ class OfThings(Observation):
     def at(cls, series: Series, place: Sequence[float]) -> Self:
         """Return the observation of one unnamed object at a position (3,) or pose (6,)."""
         return cls(series, (("",) * len(cls.labelled_by),), (six(place),))
+
+    @property
+    def reports(self) -> int:
+        """Number of values: those of the row, and its one-hot object."""
+        return self.of_row + len(self.names)
 
     @property
     def begun(self) -> Six:

@@ -51,6 +51,7 @@ class DatumCube(Surface):
     settings = DatumCubeSettings
     units = (METRE,)
     labelled_by = ("cube",)
+    of_row = 5  # the reading, the face's normal, and its distance from the corner
 
     @classmethod
     def of(cls, series: Series, table: pd.DataFrame) -> Self:
@@ -80,11 +81,6 @@ class DatumCube(Surface):
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the errors of each cube's pose, in its own axes."""
         return tuple(self.place_errors())
-
-    @property
-    def reports(self) -> int:
-        """Number of values: reading, the face's normal, its distance from the corner, and the one-hot cube."""
-        return 5 + len(self.names)
 
     def reported(self, table: pd.DataFrame) -> np.ndarray:
         """Return the readings, the faces' normals and distances, and the one-hot cubes."""

@@ -23,11 +23,7 @@ class Pose(Position):
     title = "position of a marker and orientation of the tool"
     columns = POSES
     units = (METRE,) * 3 + (RADIAN,) * 3
-
-    @property
-    def reports(self) -> int:
-        """Number of values: three coordinates, a rotation matrix, and the one-hot station frame."""
-        return 12 + len(self.names)
+    of_row = 12  # the coordinates and a rotation matrix
 
     def reported(self, table: pd.DataFrame) -> np.ndarray:
         """Return the coordinates, the rotation matrices column by column, and the one-hot frames."""

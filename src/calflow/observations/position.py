@@ -36,6 +36,7 @@ class Position(OfThings):
     columns = Reported(dict.fromkeys(POSITION, "length"))
     units: ClassVar[tuple[MeasurementUnit, ...]] = (METRE,) * 3
     labelled_by = ("session",)
+    of_row = 3  # the coordinates
     in_station = True
     from_outside = True
 
@@ -81,11 +82,6 @@ class Position(OfThings):
             for session, nominal in zip(self.names, self.nominal, strict=True)
             for (symbol, unit), figure in zip(PLACE.items(), nominal, strict=True)
         )  # fmt: skip
-
-    @property
-    def reports(self) -> int:
-        """Number of values: three coordinates and the one-hot frame."""
-        return 3 + len(self.names)
 
     def reported(self, table: pd.DataFrame) -> np.ndarray:
         """Return the coordinates and the one-hot frames."""

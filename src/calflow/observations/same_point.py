@@ -96,11 +96,6 @@ class SamePoint(OfThings):
             ]
         return tuple(parameters)
 
-    @property
-    def reports(self) -> int:
-        """Number of values: the one-hot socket."""
-        return len(self.names)
-
     def reported(self, table: pd.DataFrame) -> np.ndarray:
         """Return the one-hot sockets."""
         return np.array(self.which(table), dtype=float).reshape(len(self.names), len(table))

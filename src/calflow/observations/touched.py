@@ -47,10 +47,7 @@ class Surface(Touched):
     The reading is the first of a row's `reported` values.
     """
 
-    @property
-    def reports(self) -> int:
-        """Number of values: the reading and the one-hot surface."""
-        return 1 + len(self.names)
+    of_row = 1  # the reading
 
     def reported(self, table: pd.DataFrame) -> np.ndarray:
         """Return the readings and the one-hot surfaces."""

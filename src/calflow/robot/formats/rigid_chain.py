@@ -161,7 +161,7 @@ def json_text(chain: RigidChain, more: dict[str, Any]) -> str:
             "name": joint.name,
             "on": chain.joints[joint.on - 1].name if joint.on else None,
             "kind": joint.kind,
-            "origin": _rows(joint.origin),
+            "origin": joint.origin.tolist(),
             "axis": joint.axis.tolist(),
             "limits": joint.limits,
             **({"follows": {"joint": joint.leader[0], "multiplier": joint.leader[1]}} if joint.leader else {}),
@@ -171,16 +171,16 @@ def json_text(chain: RigidChain, more: dict[str, Any]) -> str:
     document = {
         "robot": chain.name,
         "units": "m, rad",
-        "base_in_measuring_frame": _rows(chain.base),
+        "base_in_measuring_frame": chain.base.tolist(),
         "joints": joints,
-        "flange_in_last_joint": _rows(chain.flange),
-        "tool_in_flange": _rows(chain.tool),
+        "flange_in_last_joint": chain.flange.tolist(),
+        "tool_in_flange": chain.tool.tolist(),
         "markers_in_flange": {name: point.tolist() for name, (link, point) in chain.markers.items() if link == last},
         "further_flanges": [
             {
                 "name": called,
                 "joint": chain.joints[link - 1].name if link else None,
-                "in_joint": _rows(at),
+                "in_joint": at.tolist(),
                 "markers": {name: point.tolist() for name, (on, point) in chain.markers.items() if on == link},
             }
             for link, (called, at) in chain.flanges.items()
@@ -189,10 +189,6 @@ def json_text(chain: RigidChain, more: dict[str, Any]) -> str:
         **more,
     }
     return json.dumps(document, indent=1, ensure_ascii=False) + "\n"
-
-
-def _rows(transform: np.ndarray) -> list[list[float]]:
-    return transform.tolist()
 
 
 def urdf_text(chain: RigidChain, notes: str, drives: Sequence[Drive] = ()) -> str:
