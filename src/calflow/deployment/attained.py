@@ -22,6 +22,7 @@ from calflow.files.problems import refuse
 from calflow.files.units import METRE, MeasurementUnit
 from calflow.measurements.measurements import Measurements
 from calflow.observations import leading_units
+from calflow.robot.frames import crossing
 
 FREEDOM = 6  # degrees of freedom of a fitted frame
 FEWEST_FOR_FRAME = 4  # poses: with fewer, a fitted frame leaves no residual to judge
@@ -83,9 +84,7 @@ def can_align(points: np.ndarray) -> bool:
 def rigid_slope(points: np.ndarray) -> np.ndarray:
     """Return the Jacobian of points (n, 3) by translation and rotation about their mean (n, 3, 6) [m per m, rad]."""
     arm = points - points.mean(axis=0)
-    cross = np.zeros((len(arm), 3, 3))
-    cross[:, [1, 2, 0], [2, 0, 1]], cross[:, [2, 0, 1], [1, 2, 0]] = arm, -arm
-    return np.concatenate([np.tile(np.eye(3), (len(arm), 1, 1)), cross], axis=2)
+    return np.concatenate([np.tile(np.eye(3), (len(arm), 1, 1)), crossing(-arm)], axis=2)
 
 
 def restored(errors: np.ndarray, points: np.ndarray) -> np.ndarray:

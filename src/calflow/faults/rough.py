@@ -8,6 +8,7 @@ import numpy as np
 
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
+from calflow.robot.frames import nearest_rotation
 
 PLACED_SD = 0.5  # m and rad: prior of base and tool, practically none
 NORMAL_LENGTH = 1.5382  # median length of a vector of three standard normals
@@ -161,21 +162,13 @@ def motion(points: np.ndarray, measured: np.ndarray, rounds: int = 12) -> tuple[
         centre = np.einsum("...n,...ni->...i", weight, points) / total
         aim = np.einsum("...n,...ni->...i", weight, np.broadcast_to(measured, points.shape)) / total
         apart, wanted = points - centre[..., None, :], measured - aim[..., None, :]
-        turn = best_turn(np.swapaxes(weight[..., None] * wanted, -1, -2) @ apart)
+        turn = nearest_rotation(np.swapaxes(weight[..., None] * wanted, -1, -2) @ apart)
         shift = aim - np.einsum("...ij,...j->...i", turn, centre)
         error = np.where(there, lengths(wanted - np.einsum("...ij,...nj->...ni", turn, apart)), np.inf)
         scale = np.maximum(np.median(error, axis=-1, keepdims=True), TINY)
         with np.errstate(invalid="ignore"):
             weight = np.where(there & np.isfinite(scale), 1 / (1 + (error / scale) ** 2), there * 1.0)
     return turn, shift, error
-
-
-def best_turn(correlation: np.ndarray) -> np.ndarray:
-    """Return the rotations (…, 3, 3) that maximise the trace of turnᵀ correlation."""
-    u, _, v = np.linalg.svd(correlation)
-    u = u.copy()
-    u[..., :, 2] *= np.sign(np.linalg.det(u @ v))[..., None]
-    return u @ v
 
 
 def rigid_sums(points: np.ndarray, measured: np.ndarray) -> np.ndarray:
@@ -192,7 +185,7 @@ def rigid_errors(sums: np.ndarray) -> np.ndarray:
     n = np.maximum(sums[..., 0], 1.0)
     p, m = sums[..., 1:4] / n[..., None], sums[..., 4:7] / n[..., None]
     correlation = sums[..., 9:].reshape(*sums.shape[:-1], 3, 3) / n[..., None, None] - m[..., :, None] * p[..., None, :]
-    gained = (best_turn(correlation) * correlation).sum(axis=(-2, -1))
+    gained = (nearest_rotation(correlation) * correlation).sum(axis=(-2, -1))
     spread = (sums[..., 7] + sums[..., 8]) / n - (p**2).sum(axis=-1) - (m**2).sum(axis=-1)
     return np.where(sums[..., 0] > 3, np.maximum(spread - 2 * gained, 0.0), np.inf)
 

@@ -9,14 +9,14 @@ import casadi as ca
 import numpy as np
 from pydantic import Field
 
-from calflow.files.deferred import Rotation, pd
+from calflow.files.deferred import pd
 from calflow.files.toml import Angles3, FileModel, Lengths3, Unit
 from calflow.files.units import METRE
 from calflow.measurements.rows import Reported
 from calflow.measurements.series import Series
 from calflow.observations.base import FURTHEST, Seen
 from calflow.observations.touched import Touched
-from calflow.robot.frames import angles, placement_matrix
+from calflow.robot.frames import motion_onto, placement_matrix
 from calflow.robot.parts import Parameter
 
 POINT = ("px_x", "px_y", "px_z")
@@ -85,9 +85,9 @@ class Artefact(Touched):
         return seen.device(seen.point) - (at[:3, 3] + at[:3, :3] @ (scale * y[:3]))
 
     def registered(self, points: np.ndarray, rotations: np.ndarray, table: pd.DataFrame) -> Self:
-        """Return the observation with each artefact registered to the nominal robot's points (Kabsch 1976)."""
+        """Return the observation with each artefact registered to the nominal robot's points."""
         plate_points = table[list(POINT)].to_numpy(float)
-        return self.laid(table, lambda rows: _registered_pose(plate_points[rows], points[rows]))
+        return self.laid(table, lambda rows: motion_onto(plate_points[rows], points[rows]))
 
     def expected(self, points: np.ndarray, rotations: np.ndarray) -> np.ndarray:
         """Return the first artefact's corners in turn, or these points in its frame where its size is not stated."""
@@ -97,12 +97,3 @@ class Artefact(Touched):
             corners = np.array([(0.0, 0.0, 0.0), (size[0], 0.0, 0.0), (*size[:2], 0.0), (0.0, size[1], 0.0)])
             local = corners[np.arange(len(points)) % len(corners)]
         return np.vstack([local.T, self.first(len(points))])
-
-
-def _registered_pose(local: np.ndarray, points: np.ndarray) -> tuple[float, ...]:
-    """Return the pose (6,) that maps an artefact's points (n, 3) closest to others; about a line the rotation is arbitrary."""
-    centroid, centre = local.mean(axis=0), points.mean(axis=0)
-    left, _, right = np.linalg.svd((local - centroid).T @ (points - centre))
-    sense = np.diag([1.0, 1.0, float(np.sign(np.linalg.det(left @ right)))])
-    turn = Rotation.from_matrix((left @ sense @ right).T)
-    return (*(centre - turn.apply(centroid)), *angles(turn))

@@ -29,9 +29,9 @@ from calflow.observations.base import (
     Six,
 )
 from calflow.observations.hand_eye import FEWEST_IMAGE_POINTS, Sighting, camera_and_target, focal_length, sighting
-from calflow.observations.hand_eye_methods import METHODS, camera_by, crossing
+from calflow.observations.hand_eye_methods import METHODS, camera_by
 from calflow.observations.lens import DISTORTION, Lens, projected, slopes
-from calflow.robot.frames import angles, placement, placement_matrix, vector
+from calflow.robot.frames import angles, crossing, placement, placement_matrix, vector
 from calflow.robot.parts import Parameter
 
 Pixels = Annotated[float, Unit("image")]

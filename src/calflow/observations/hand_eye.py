@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calflow.files.deferred import Rotation
+from calflow.robot.frames import crossing, nearest_rotation
 
 FEWEST_IMAGE_POINTS = 4  # points per image
 THICKNESS_OF_PLANE = 1e-4  # thickness over extent below which a target is planar
@@ -117,7 +118,7 @@ def _shah(motion: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     camera, target = np.eye(4), np.eye(4)
     for place, vector in ((camera, right[0]), (target, left[:, 0])):
         matrix = vector.reshape(3, 3).T
-        place[:3, :3] = _nearest_rotation(matrix * np.sign(np.linalg.det(matrix)))
+        place[:3, :3] = nearest_rotation(matrix * np.sign(np.linalg.det(matrix)))
     n = len(motion)
     system = np.concatenate([turns, np.broadcast_to(-np.eye(3), (n, 3, 3))], axis=2).reshape(-1, 6)
     wanted = (np.einsum("ij,nj->ni", target[:3, :3], seen[:, :3, 3]) - motion[:, :3, 3]).ravel()
@@ -142,12 +143,6 @@ def _projection(points: np.ndarray, image: np.ndarray) -> np.ndarray:
     return np.asarray(np.linalg.svd(lines, full_matrices=len(lines) < lines.shape[1])[2][-1].reshape(3, -1))
 
 
-def _nearest_rotation(matrix: np.ndarray) -> np.ndarray:
-    """Return the rotation (3, 3) nearest to a matrix."""
-    u, _, v = np.linalg.svd(matrix)
-    return np.asarray(u @ np.diag([1, 1, np.linalg.det(u @ v)]) @ v)
-
-
 def _normalised(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return points (n, 2) centred and scaled to unit spread, and the transform (3, 3) that does so."""
     centroid = points.mean(axis=0)
@@ -161,7 +156,7 @@ def _of_plane(plane: np.ndarray, rays: np.ndarray) -> np.ndarray:
     h = _homography(plane, rays)
     h = h * (np.sign(h[2, 2]) or 1.0)
     pose = np.eye(4)
-    pose[:3, :3] = _nearest_rotation(np.column_stack([h[:, 0], h[:, 1], np.cross(h[:, 0], h[:, 1])]))
+    pose[:3, :3] = nearest_rotation(np.column_stack([h[:, 0], h[:, 1], np.cross(h[:, 0], h[:, 1])]))
     pose[:3, 3] = h[:, 2]
     return pose
 
@@ -170,7 +165,7 @@ def _of_body(points: np.ndarray, rays: np.ndarray) -> np.ndarray:
     projection = _projection(points, rays)
     projection = projection / np.cbrt(np.linalg.det(projection[:, :3]))
     pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = _nearest_rotation(projection[:, :3]), projection[:, 3]
+    pose[:3, :3], pose[:3, 3] = nearest_rotation(projection[:, :3]), projection[:, 3]
     return pose
 
 
@@ -197,10 +192,7 @@ def _refined(pose: np.ndarray, points: np.ndarray, rays: np.ndarray) -> np.ndarr
         by_place = np.zeros((len(points), 2, 3))
         by_place[:, 0, 0] = by_place[:, 1, 1] = 1 / z
         by_place[:, 0, 2], by_place[:, 1, 2] = -x / z**2, -y / z**2
-        a, b, c = turned.T
-        zero = np.zeros(len(points))
-        by_turn = np.stack([zero, c, -b, -c, zero, a, b, -a, zero], axis=1).reshape(-1, 3, 3)
-        slope = np.concatenate([by_place @ by_turn, by_place], axis=2).reshape(-1, 6)
+        slope = np.concatenate([by_place @ crossing(-turned), by_place], axis=2).reshape(-1, 6)
         normal, gradient = slope.T @ slope, slope.T @ _reprojection_error(pose, points, rays).ravel()
         step = -np.linalg.lstsq(normal + damping * np.diag(np.diag(normal)), gradient, rcond=None)[0]
         moved = pose.copy()

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from calflow.files.deferred import Rotation
+from calflow.robot.frames import crossing
 
 NO_TURN, HALF_TURN = np.deg2rad(0.1), np.deg2rad(170)  # outside this range a rotation's axis is ill-determined
 METHODS = ("Tsai", "Park", "Horaud", "Andreff", "Daniilidis")
@@ -100,10 +101,3 @@ def _dual(frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     quaternion = Rotation.from_matrix(frames[:, :3, :3]).as_quat(canonical=True)
     vector, scalar, place = quaternion[:, :3], quaternion[:, 3:], frames[:, :3, 3]
     return vector, (scalar * place + np.cross(place, vector)) / 2
-
-
-def crossing(vectors: np.ndarray) -> np.ndarray:
-    """Return the skew-symmetric matrices (n, 3, 3) of the cross product with each of vectors (n, 3)."""
-    x, y, z = vectors.T
-    zero = 0 * x
-    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)

@@ -16,7 +16,7 @@ from calflow.files.units import METRE, MeasurementUnit
 from calflow.measurements.rows import POSITION, Reported
 from calflow.measurements.series import Series
 from calflow.observations.base import NOWHERE, PLACE, UNKNOWN_BOUND, UNKNOWN_SD, Name, OfThings, Seen, Six
-from calflow.robot.frames import angles, placement
+from calflow.robot.frames import motion_onto, placement
 from calflow.robot.parts import Parameter
 
 
@@ -114,15 +114,11 @@ class Position(OfThings):
         return np.asarray(every[np.where(which.any(axis=0), 1 + which.argmax(axis=0), 0)])
 
     def registered(self, points: np.ndarray, rotations: np.ndarray, table: pd.DataFrame) -> Self:
-        """Return the observation with each frame placed by the rigid motion from measured to nominal points (Kabsch 1976)."""
+        """Return the observation with each frame placed by the rigid motion from measured to nominal points."""
         measured = table[["x", "y", "z"]].to_numpy(float)
-
-        def found(rows: np.ndarray) -> tuple[float, ...]:
-            centre, aim = measured[rows].mean(axis=0), points[rows].mean(axis=0)
-            turn, _ = Rotation.align_vectors(points[rows] - aim, measured[rows] - centre)
-            return (*(aim - turn.apply(centre)), *angles(turn))
-
-        return self if self._is_known else self.laid(table, found, 3)
+        if self._is_known:
+            return self
+        return self.laid(table, lambda rows: motion_onto(measured[rows], points[rows]), 3)
 
     def expected(self, points: np.ndarray, rotations: np.ndarray) -> np.ndarray:
         """Return the coordinates."""

@@ -430,6 +430,28 @@ def apply(transform: ca.SX, point: ca.SX) -> ca.SX:
     return transform[:3, :3] @ point + transform[:3, 3]
 
 
+def crossing(vectors: np.ndarray) -> np.ndarray:
+    """Return the skew-symmetric matrices (n, 3, 3) of the cross product with each of vectors (n, 3)."""
+    x, y, z = vectors.T
+    zero = 0 * x
+    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
+
+
+def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
+    """Return the rotations (…, 3, 3) nearest to matrices; of Σ b aᵀ, those that turn vectors a closest onto b (Kabsch 1976)."""
+    u, _, v = np.linalg.svd(matrix)
+    u = u.copy()
+    u[..., :, 2] *= np.sign(np.linalg.det(u @ v))[..., None]
+    return u @ v
+
+
+def motion_onto(points: np.ndarray, onto: np.ndarray) -> tuple[float, ...]:
+    """Return the pose (6,) that moves points (n, 3) closest onto others (Kabsch 1976); about a line the rotation is arbitrary."""
+    centre, aim = points.mean(axis=0), onto.mean(axis=0)
+    turn = Rotation.from_matrix(nearest_rotation((onto - aim).T @ (points - centre)))
+    return (*(aim - turn.apply(centre)), *angles(turn))
+
+
 def angles(turn: Rotation, order: str = "XYZ") -> np.ndarray:
     """Return the Euler angles [rad] of a rotation, in an order named as in SciPy.
 
