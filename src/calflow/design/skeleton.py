@@ -14,7 +14,7 @@ import numpy as np
 
 from calflow.model import over_rows
 from calflow.robot.frames import apply
-from calflow.robot.mechanism import Deflection, nominal_dimensions, pose
+from calflow.robot.mechanism import nominal_posture
 from calflow.robot.robot import Robot
 
 SHORT = 1e-18  # m² (m⁴): a squared length, or squared cross product of two segments, below which it is zero
@@ -141,7 +141,7 @@ def reflector(robot: Robot, marker: str, q: ca.SX) -> tuple[ca.SX, ca.SX]:
 def _function(robot: Robot, marker: str) -> ca.Function:
     """Return the function from driven joint angles to all points and directions, concatenated."""
     q = ca.SX.sym("q", robot.n_joints)
-    at = pose(robot, nominal_dimensions(robot), q, Deflection.zero(robot.n_joints))
+    at = nominal_posture(robot, q)
     stands = at.links[robot.ground - 1][:3, :3].T if robot.ground else ca.SX.eye(3)
     flange = at.frame(robot, robot.link(robot.markers[marker].on))
     reflector = apply(flange, ca.SX(ca.DM(robot.markers[marker].point)))

@@ -11,7 +11,7 @@ import numpy as np
 
 from calflow.effects.base import Effect, Variable, Words
 from calflow.robot.frames import apply
-from calflow.robot.mechanism import Deflection, Posture, Row, State, nominal_dimensions, nominal_loads, pose
+from calflow.robot.mechanism import Deflection, Posture, Row, State, nominal_loads, nominal_posture
 from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
 
@@ -41,7 +41,7 @@ class Arm(NamedTuple):
     @staticmethod
     def of(robot: Robot) -> Arm:
         """Return the mass distribution that the links' nominal lengths suggest."""
-        at = pose(robot, nominal_dimensions(robot), ca.SX.zeros(robot.n_joints), Deflection.zero(robot.n_joints))
+        at = nominal_posture(robot)
         spans = (end[:3, 3] - joint[:3, 3] for joint, end in zip(at.joints, at.ends[1:], strict=True))
         lengths = tuple(float(ca.DM(ca.evalf(ca.norm_2(span)))) for span in spans)
         chains = [robot.chain(link + 1) for link in range(robot.n_joints)]
@@ -136,7 +136,7 @@ class BaseTilt(Effect):
 
     def _moments(self, row: Row) -> ca.SX:
         """Return the normalised overturning moments that the parameters multiply, shape (2, n)."""
-        at, down, arm = self._posture(row), ca.DM(self.robot.down), self._arm
+        at, down, arm = nominal_posture(self.robot, row.q), ca.DM(self.robot.down), self._arm
         if self.shape == "moments":
             tilts = [ca.cross(frame[:3, axis], down)[:2] for frame in at.links for axis in (0, 1)]
             return ca.horzcat(*tilts)
@@ -144,7 +144,7 @@ class BaseTilt(Effect):
 
     def _payload_moments(self, row: Row) -> list[ca.SX]:
         """Return the overturning moment of the payloads of known mass [Nm], then the arm of each other one [m], (2, 1) each."""
-        robot, at, loads = self.robot, self._posture(row), nominal_loads(self.robot)
+        robot, at, loads = self.robot, nominal_posture(self.robot, row.q), nominal_loads(self.robot)
         arms = [
             row.payload[k]
             * ca.cross(apply(at.frame(robot, robot.payload_links[k]), loads.payload_com[:, k]), ca.DM(robot.down))[:2]
@@ -158,10 +158,6 @@ class BaseTilt(Effect):
     def _unknown(self) -> dict[str, int]:
         """The payloads of unknown mass, with their indices among all payloads."""
         return {name: k for k, (name, load) in enumerate(self.robot.payloads.items()) if load.mass is None}
-
-    def _posture(self, row: Row) -> Posture[ca.SX]:
-        n = self.robot.n_joints
-        return pose(self.robot, nominal_dimensions(self.robot), row.q, Deflection.zero(n))
 
     def variable(self, joint: int) -> Variable:
         """Return the normalised overturning moment under the assumed mass distribution."""

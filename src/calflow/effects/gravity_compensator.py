@@ -13,7 +13,7 @@ import numpy as np
 from calflow.effects.base import Effect, Variable, Words, around, joint_variable
 from calflow.effects.warming import REFERENCE
 from calflow.measurements.measurements import Measurements
-from calflow.robot.mechanism import Deflection, Row, State, nominal_dimensions, pose, rated_torques
+from calflow.robot.mechanism import Row, State, nominal_posture, rated_torques
 from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
 
@@ -102,7 +102,7 @@ class GravityCompensator(Effect):
     def upright(self) -> float:
         """The angle of joint 2 [rad] at which the arm points against gravity, the others at zero."""
         robot = self.robot
-        at = pose(robot, nominal_dimensions(robot), ca.SX(robot.n_joints, 1), Deflection.zero(robot.n_joints))
+        at = nominal_posture(robot)
         frame, end = (
             np.array(ca.DM(ca.evalf(frame))) for frame in (at.joints[self._carried], at.ends[self._carried + 1])
         )

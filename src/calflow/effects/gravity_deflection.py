@@ -22,6 +22,7 @@ from calflow.robot.mechanism import (
     State,
     nominal_dimensions,
     nominal_loads,
+    nominal_posture,
     pose,
     potential_energy,
     rated_torques,
@@ -162,10 +163,9 @@ class GravityDeflection(Effect):
     @cached_property
     def _upright(self) -> tuple[bool, ...]:
         """Whether each joint's axis is vertical with all joints at zero."""
-        robot, n = self.robot, self.robot.n_joints
-        at = pose(robot, nominal_dimensions(robot), ca.SX.zeros(n), Deflection.zero(n))
+        at = nominal_posture(self.robot)
         axes = [np.array(ca.DM(ca.evalf(frame[:3, 2]))).ravel() for frame in at.joints]
-        down = np.array(ca.DM(ca.evalf(at.down(robot)))).ravel()
+        down = np.array(ca.DM(ca.evalf(at.down(self.robot)))).ravel()
         return tuple(bool(np.linalg.norm(np.cross(axis, down)) < 1e-6) for axis in axes)
 
     variable = joint_variable

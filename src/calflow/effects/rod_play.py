@@ -9,7 +9,7 @@ import casadi as ca
 
 from calflow.effects.base import Term, Variable, Words
 from calflow.effects.torque_backlash import TorqueBacklash
-from calflow.robot.mechanism import Deflection, Row, State, nominal_dimensions, pose
+from calflow.robot.mechanism import Row, State, nominal_posture
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class RodPlay(TorqueBacklash):
         robot, loop = self.robot, self.robot.loop
         if not loop or joint != loop.joint - 1:
             return []
-        closure = pose(robot, nominal_dimensions(robot), state.q, Deflection.zero(robot.n_joints)).closure
+        closure = nominal_posture(robot, state.q).closure
         assert closure  # of a robot with a loop
         lever = loop.crank.length * ca.fabs(ca.sin(closure.rod_angle - state.q[joint]))
         side = ca.tanh(state.bearing[5, joint] / (self.crossing * self.rated[joint]))

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from calflow.effects.base import JointError, Term, Variable, Words, joint_variable
-from calflow.robot.mechanism import Deflection, Row, State, nominal_dimensions, pose
+from calflow.robot.mechanism import Row, State, nominal_posture
 
 SIZES = {"rad": (1e-3, 0.1), "m": (1e-4, 5e-3)}  # standard deviation and bound, per rad or m of the other joint
 PARALLEL = 1e-6
@@ -49,8 +49,7 @@ class WristCoupling(JointError):
         kinds = [self.robot.joints[k].kind for k in shaft]
         if sorted(kinds) != ["prismatic", "revolute"] or self.robot.joints[slide].kind == "revolute":
             return []
-        n = self.robot.n_joints
-        at = pose(self.robot, nominal_dimensions(self.robot), ca.SX.zeros(n), Deflection.zero(n))
+        at = nominal_posture(self.robot)
         axes = [np.array(ca.evalf(at.joints[k][:3, 2])).ravel() for k in shaft]
         along = abs(axes[0] @ axes[1]) > 1 - PARALLEL
         return [k for k in shaft if k != slide] if along else []

@@ -24,7 +24,7 @@ from calflow.measurements.measurements import Measurements
 from calflow.model import Model, SymbolicPrediction
 from calflow.programs.target import ArmPosture, Reason, Target
 from calflow.robot.frames import placement_matrix
-from calflow.robot.mechanism import Deflection, nominal_dimensions, pose
+from calflow.robot.mechanism import nominal_posture
 from calflow.robot.robot import Robot
 
 SCALES = {"mm": 1e-3, "deg": np.pi / 180}
@@ -126,7 +126,7 @@ class ArmGeometry:
         if len(robot.arm) != 6 or any(robot.joints[i].kind != "revolute" for i in robot.arm):
             return ArmGeometry(robot, None)
         q = ca.SX.sym("q", robot.n_joints)
-        at = pose(robot, nominal_dimensions(robot), q, Deflection.zero(robot.n_joints))
+        at = nominal_posture(robot, q)
         floor = at.links[robot.ground - 1][:3, :3].T if robot.ground else ca.SX.eye(3)
         axes = [floor @ at.joints[i][:3, 2:4] for i in robot.arm]
         directions, points = [axis[:, 0] for axis in axes], [axis[:, 1] for axis in axes]

@@ -423,6 +423,12 @@ def pose(robot: Robot, dims: Dimensions, q: ca.SX, deflection: Deflection) -> Po
     return Posture(tuple(joints), tuple(ends), tuple(links), tuple(rest[:2]), closure)
 
 
+def nominal_posture(robot: Robot, q: ca.SX | None = None) -> Posture[ca.SX]:
+    """Return all frames of the nominal robot, which nothing deflects, at driven joint angles; by default all at zero."""
+    n = robot.n_joints
+    return pose(robot, nominal_dimensions(robot), ca.SX.zeros(n) if q is None else q, Deflection.zero(n))
+
+
 @dataclass(frozen=True)
 class _Symbols:
     """A robot's dimensions, joint angles and deflection as symbols."""
