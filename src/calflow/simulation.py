@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -123,45 +123,26 @@ def _check_conditions(model: Model, path: Path) -> None:
     )
 
 
-@dataclass(frozen=True)
-class _Spelling:
-    """The notation of a parameter in a truth file: its key in the table of its part, and the unit's factor to SI."""
-
-    index: int
-    effect: str
-    part: str
-    key: str
-    factor: float
-
-    @property
-    def words(self) -> str:
-        """The key with the table of its effect, which is never ambiguous."""
-        return f"[values.{self.part}.{self.effect}] {self.key}"
+# By the path of a key, [values.PART] or [values.PART.EFFECT]: the parameters that it may mean, and its unit's factor to SI.
+_Meanings = Mapping[tuple[str, ...], Sequence[tuple[int, float]]]
 
 
 def _values(truth: Truth, model: Model, path: Path) -> np.ndarray:
     """Return the true parameters, from `[values.PART] key` or, if ambiguous, `[values.PART.EFFECT] key`."""
-    known_spellings = [
-        _Spelling(i, p.effect, p.part, p.symbol + suffix, factor)
-        for i, p in enumerate(model.parameters)
-        for suffix, factor in spellings(p.unit).items()
-    ]
-    values = model.nominal.copy()
-    set_before: set[int] = set()
-    problems: list[Problem] = []
-    origin = Origin.of(path)
+    meanings = defaultdict[tuple[str, ...], list[tuple[int, float]]](list)
+    for i, p in enumerate(model.parameters):
+        for suffix, factor in spellings(p.unit).items():
+            for way in ((p.part,), (p.part, p.effect)):
+                meanings[*way, p.symbol + suffix].append((i, factor))
+    values, set_before = model.nominal.copy(), set[int]()
+    problems, origin = list[Problem](), Origin.of(path)
     for location, value in _stated(truth):
-        meant = [
-            spelling
-            for spelling in known_spellings
-            if location in ((spelling.part, spelling.key), (spelling.part, spelling.effect, spelling.key))
-        ]
-        wrong = _wrong_value(location, value, meant, known_spellings, set_before)
-        if wrong:
+        if wrong := _wrong_value(location, value, meanings, model, set_before):
             problems.append(origin.problem(wrong, "values", *location))
-        else:
-            set_before.add(meant[0].index)
-            values[meant[0].index] = meant[0].factor * value
+            continue
+        ((index, factor),) = meanings[location]
+        set_before.add(index)
+        values[index] = factor * value
     refuse_any(problems)
     return values
 
@@ -176,25 +157,21 @@ def _stated(truth: Truth) -> Iterator[tuple[tuple[str, ...], Any]]:
                 yield (part, key), value
 
 
-def _wrong_value(
-    location: tuple[str, ...], value: Any, meant: list[_Spelling], spellings: list[_Spelling], set_before: set[int]
-) -> str:
+def _wrong_value(location: tuple[str, ...], value: Any, meanings: _Meanings, model: Model, set_before: set[int]) -> str:
     """Return what is wrong with a true value; empty if nothing."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return f"expected a number, found {truncated(repr(value))}"
-    if not meant:
-        names = (
-            dict.fromkeys(f"{spelling.part}.{spelling.key}" for spelling in spellings)
-            if len(location) == 2
-            else {f"{spelling.part}.{spelling.effect}.{spelling.key}": None for spelling in spellings}
-        )
-        return f"unknown parameter or unit{nearest('.'.join(location), names)}"
-    if len({spelling.index for spelling in meant}) > 1:
-        ways = " or ".join(dict.fromkeys(spelling.words for spelling in meant))
+    if location not in meanings:
+        known = [".".join(way) for way in meanings if len(way) == len(location)]
+        return f"unknown parameter or unit{nearest('.'.join(location), known)}"
+    meant = [model.parameters[index] for index, _ in meanings[location]]
+    if len(meant) > 1:
+        ways = " or ".join(f"[values.{parameter.part}.{parameter.effect}] {location[-1]}" for parameter in meant)
         return f"belongs to {len(meant)} parameters: expected {ways}"
-    if meant[0].index in set_before:
+    ((index, factor),) = meanings[location]
+    if index in set_before:
         return "is given twice, in different units"
-    if not abs(meant[0].factor * value) <= LARGEST[""]:
+    if not abs(factor * value) <= LARGEST[""]:
         return f"expected at most {LARGEST['']:g}, found {value!r}"
     return ""
 
