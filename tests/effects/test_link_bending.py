@@ -1,15 +1,22 @@
-"""Link bending: an oblique link bends as its section and its line say, whatever axes it is written in."""
+"""Link bending: a link bends as its section and its line say, whatever axes it is written in, and is found as one cause."""
 
 from __future__ import annotations
 
 import casadi as ca
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose
 
 import robots
-from calflow.effects.link_bending import LinkBending, Span, bent, spans
+from calflow.effects.beam import Beam, beams
+from calflow.effects.link_bending import LinkBending
 from calflow.model import Model, build, over_rows
+from hidden.causes import Hidden
+from hidden.test_hidden import case, found, only
 
+ALIKE = only(
+    "link-bending", "link-torsion", "bearing-compliance", "axis-wobble", "joint-eccentricity", "gear-ratio-error"
+)
 FORCE, MOMENT = np.array([120.0, -300.0, 500.0]), np.array([80.0, 150.0, -60.0])
 
 
@@ -28,7 +35,9 @@ def test_an_oblique_beam_is_the_sum_of_its_pieces() -> None:
     span = np.array([0.9, -0.2, 0.4])
     root = np.random.default_rng(3).normal(size=(3, 3)) * 1e-4
     soft = root @ root.T
-    found = np.array(ca.DM(bent(Span(1, ca.DM(span)), ca.SX(ca.DM(soft)), ca.SX(ca.DM(FORCE)), ca.SX(ca.DM(MOMENT)))))
+    found = np.array(
+        ca.DM(Beam(1, ca.DM(span), ca.DM(3, 1)).bent(*(ca.SX(ca.DM(part)) for part in (soft, FORCE, MOMENT))))
+    )
     assert_allclose(found.ravel(), summed(span, soft), rtol=1e-5)
 
 
@@ -49,7 +58,7 @@ def test_an_oblique_link_that_is_round_bends_as_a_straight_one() -> None:
             at, np.array([values.get(q.symbol, 0.0) * (q.part == first) for q in effect.declared]), conditions
         )[0]
 
-    span = spans(robot)[0]
+    span = beams(robot)[0]
     u = np.array(span.span).ravel() / span.length
     matrix = size * (np.eye(3) - np.outer(u, u))
     round_one = {f"c{'xyz'[a]}{'xyz'[b]}": matrix[a, b] for a in range(3) for b in range(a, 3)}
@@ -62,3 +71,15 @@ def test_an_oblique_link_that_is_round_bends_as_a_straight_one() -> None:
     twists = points(LinkBending(robot, section="twisting"), {"1/EI": size, "1/GJ": 2 * size})
     assert np.abs(twists - bends).max() > 1e-6
     assert_allclose(points(oblique, entries), twists, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("size", [5e-8, 1.5e-7])
+@pytest.mark.parametrize("bends", ["", "to the wrist"])
+def test_a_link_that_bends_as_far_as_the_wrist_is_one_cause(size, bends, tmp_path):
+    """Fails if a forearm that ends at the wrist is a bearing that tilts, in part another's, or one that ends at the elbow."""
+    link = 3 if bends else 4
+    seen = found(tmp_path, case("hh800", Hidden("link-bending", link, size, bends), settings=ALIKE), 33)
+    assert len(seen.causes) == 1, seen.causes
+    assert seen.causes.iloc[0]["cannot_tell_from"] == "", seen.causes
+    assert seen.has("link-bending", link)
+    assert seen.unexplained.empty, seen.unexplained

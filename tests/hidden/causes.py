@@ -196,13 +196,21 @@ def base_play(h: Hidden, robot: Robot, rows: Rows, state: State) -> Motion:
 
 
 def link_bending(h: Hidden, robot: Robot, rows: Rows, state: State) -> Motion:
-    """A cantilever from this joint's axis to the next, bent by force and moment at its tip; the size is 1/EI."""
-    length, along = _beam(robot, h.joint - 1)
-    force, moment = (load[:, h.joint - 1] for load in (state.tip_force, state.tip_moment))
+    """A cantilever from this joint's axis to the next, bent by force and moment at its tip; the size is 1/EI.
+
+    "to the wrist" it ends at the far end of the next joint's offset, where it is bent by force and moment there.
+    """
+    i = h.joint - 1
+    (length, along), force, moment = _beam(robot, i), state.tip_force[:, i], state.tip_moment[:, i]
+    beyond = np.zeros(3)
+    if h.extra == "to the wrist":
+        line, beyond = _to_the_wrist(robot, i)
+        length, along, moment = np.linalg.norm(line), line / np.linalg.norm(line), moment - np.cross(beyond, force)
     force, moment = force - (force @ along)[:, None] * along, moment - (moment @ along)[:, None] * along
     sag = length**3 / 3 * force + length**2 / 2 * np.cross(moment, along)
     slope = length**2 / 2 * np.cross(along, force) + length * moment
-    return _motion(robot, rows, "tip", h.size * np.concatenate([sag, slope], axis=1), h.joint - 1)
+    twist = h.size * np.concatenate([sag - np.cross(slope, beyond), slope], axis=1)
+    return _motion(robot, rows, "tip", twist, i)
 
 
 def link_torsion(h: Hidden, robot: Robot, rows: Rows, state: State) -> Motion:
@@ -210,16 +218,21 @@ def link_torsion(h: Hidden, robot: Robot, rows: Rows, state: State) -> Motion:
 
     Of a link "to the wrist" about the line to the far end of the next joint's offset, under the moment at its own joint.
     """
+    i = h.joint - 1
     if h.extra == "to the wrist":
-        i = h.joint - 1
-        next_axis = np.array([0.0, -np.sin(robot.alpha[i + 1]), np.cos(robot.alpha[i + 1])])
-        line = np.array([robot.a[i + 1], 0.0, robot.d[i]]) + robot.d[i + 1] * next_axis
+        line, _ = _to_the_wrist(robot, i)
         return _motion(
             robot, rows, "bearing", h.size * (state.moment[:, i] @ line)[:, None] * line / np.linalg.norm(line), i
         )
-    length, along = _beam(robot, h.joint - 1)
-    twist = h.size * length * (state.tip_moment[:, h.joint - 1] @ along)[:, None] * along
-    return _motion(robot, rows, "tip", np.concatenate([np.zeros_like(twist), twist], axis=1), h.joint - 1)
+    length, along = _beam(robot, i)
+    twist = h.size * length * (state.tip_moment[:, i] @ along)[:, None] * along
+    return _motion(robot, rows, "tip", np.concatenate([np.zeros_like(twist), twist], axis=1), i)
+
+
+def _to_the_wrist(robot: Robot, i: int) -> tuple[Array, Array]:
+    """From a link's joint to the far end of the next joint's offset, and the last part of it, along that joint's axis."""
+    beyond = robot.d[i + 1] * np.array([0.0, -np.sin(robot.alpha[i + 1]), np.cos(robot.alpha[i + 1])])
+    return np.array([robot.a[i + 1], 0.0, robot.d[i]]) + beyond, beyond
 
 
 def _beam(robot: Robot, i: int) -> tuple[float, Array]:

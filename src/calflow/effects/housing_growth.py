@@ -9,7 +9,7 @@ from typing import Self
 import casadi as ca
 
 from calflow.effects.base import Words
-from calflow.effects.link_bending import SHORTEST
+from calflow.effects.beam import SHORTEST
 from calflow.effects.warming import Warming
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Dimensions, Row

@@ -9,7 +9,7 @@ from typing import Self
 import casadi as ca
 
 from calflow.effects.base import Words
-from calflow.effects.link_bending import spans
+from calflow.effects.beam import beams
 from calflow.effects.warming import Warming
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Dimensions, Row, reach_of
@@ -66,7 +66,7 @@ class ThermalGrowth(Warming):
     @property
     def _links(self) -> tuple[int, ...]:
         """Indices of the links long enough to have an expansion of their own."""
-        return tuple(beam.link for beam in spans(self.robot))
+        return tuple(beam.link for beam in beams(self.robot))
 
     @property
     def _bars(self) -> tuple[str, ...]:
