@@ -7,7 +7,7 @@ import numpy as np
 
 from calflow.effects.frame_drift import FrameDrift
 from calflow.effects.smooth_curve import waves
-from calflow.robot.mechanism import Row, session_number
+from calflow.robot.mechanism import Row, name_number
 from robots import ur10
 
 LOW, HIGH, LENGTH, FINEST = -1.0, 2.0, 0.4, 0.1
@@ -46,7 +46,7 @@ def test_a_device_that_wandered_stands_on_average_in_another_session_and_later()
     waved = np.random.default_rng(3).standard_normal(p.numel())
 
     def at(time: float, session: str) -> np.ndarray:
-        return np.array(moved(waved, time, session_number(session))).ravel()
+        return np.array(moved(waved, time, name_number(session))).ravel()
 
     meanwhile = np.array([at(time, "monday") for time in np.linspace(0.05, 99.95, 1000)])
     assert (meanwhile.std(axis=0) > 0.1).all()

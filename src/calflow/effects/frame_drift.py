@@ -11,7 +11,7 @@ import casadi as ca
 from calflow.effects.base import IN_TIME, OF_THE_FRAME, Effect, Variable, Words, displaced
 from calflow.effects.smooth_curve import MARGIN, RMS, waves
 from calflow.measurements.measurements import Measurements, pauses, sessions_of
-from calflow.robot.mechanism import Row, session_number
+from calflow.robot.mechanism import Row, name_number
 from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
 
@@ -124,7 +124,7 @@ class FrameDrift(Effect):
             return point
         if self.length:
             curve = waves(passed / self.end, 0.0, 1.0, self.length, RESOLVED * self.length)
-            named = [row.session == session_number(name) for name in self.sessions if row.session.nnz()]
+            named = [row.session == name_number(name) for name in self.sessions if row.session.nnz()]
             # Blends to zero over the margin in which the waves do, so that the shift stays continuous.
             beyond = ca.fmin(1, ca.fmax(0, 2 * (passed / self.end - 1) / (MARGIN - 1)))
             there = sum(named) if named else 1
@@ -140,7 +140,7 @@ class FrameDrift(Effect):
         if not self.starts or not passed.nnz():
             return passed
         starts = zip(self.sessions, self.starts, strict=True)
-        return sum(((row.session == session_number(name)) * (passed - start) for name, start in starts), ca.SX(0))
+        return sum(((row.session == name_number(name)) * (passed - start) for name, start in starts), ca.SX(0))
 
     def variable(self, joint: int) -> Variable:
         """Return the time, or the order of the rows."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from calflow.effects.base import OF_THE_FRAME, Effect, Words, displaced
 from calflow.measurements.measurements import Measurements, borders, sessions_of
-from calflow.robot.mechanism import Row, session_number
+from calflow.robot.mechanism import Row, name_number
 from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
 
@@ -118,7 +118,7 @@ class SessionFrame(Effect):
     def _within(self, session: str, row: Row) -> ca.SX:
         """Return 1 for a row of the session, or of a later one that shares its frame, else 0."""
         alike = self.sessions[self.since :] if self.since else (session,)
-        return sum((row.session == session_number(name) for name in alike), ca.SX(0))
+        return sum((row.session == name_number(name) for name in alike), ca.SX(0))
 
     def completing(self, data: Measurements) -> tuple[Effect, ...]:
         """Return the frames of those sessions of the data without a fitted row."""

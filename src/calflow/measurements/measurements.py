@@ -33,11 +33,11 @@ from calflow.measurements.rows import (
     rows_of,
 )
 from calflow.measurements.series import Series
-from calflow.robot.mechanism import OPTIONAL, Row, session_number
+from calflow.robot.mechanism import NUMBERED, OPTIONAL, Row, name_number
 from calflow.robot.robot import Robot
 
 SPREAD = 0.2  # K: standard deviation below which temperatures count as constant
-DERIVED = ("order", "range", "session")  # conditions that a series may lack, or that are recomputed
+DERIVED = ("order", "range", "session", *NUMBERED)  # conditions that a series may lack, or that are recomputed
 PAUSE, GAPS_OF_PAUSE = 900.0, 10.0  # s and median times between rows: one longer than both is a pause
 SAME_READINGS = 0.02  # rad or m: largest difference between joint readings of one pose
 
@@ -265,7 +265,7 @@ class Measurements:
             elif name == "marker":
                 parts += [self.table["marker"] == name for name in self.robot.markers]
             elif name == "session":
-                parts.append(self.table["session"].astype(str).map(session_number))
+                parts.append(self.table["session"].astype(str).map(name_number))
             else:
                 parts += [self.table[column] for column in condition_columns(name, self.robot)]
         return np.array([part.to_numpy(dtype=float) for part in parts])
@@ -354,6 +354,8 @@ def combined(parts: Sequence[Measurements]) -> Measurements:
     tables = [_rows_of_series(k, part.stating((*shared, *DERIVED)), origin, split) for k, part in enumerate(parts)]
     whole = pd.concat(_with_unique_names(tables, numbered("q", first.robot.n_joints)), ignore_index=True)
     labels = {name for part in parts for name in part.series[0].labels}
+    numbered_too = [name for name in NUMBERED if name in whole]
+    whole[numbered_too] = whole[numbered_too].fillna(0.0)
     for label in {"session", *labels, *whole.select_dtypes(["object", "string"])}:
         if label in whole:
             whole[label] = whole[label].fillna("")

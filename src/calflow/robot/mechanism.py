@@ -24,8 +24,10 @@ from calflow.robot.robot import Robot
 Parts = TypeVar("Parts", bound=Any)
 At = TypeVar("At", ca.SX, "FrameChain")
 BY_JOINT = ("approach", "travel", "torque", "speed", "acceleration")
+NUMBERED = ("camera_number", "target_number")
 OPTIONAL = (
-    "approach", "travel", "wrench", "torque", "time", "temperature", "order", "range", "session", "speed", "acceleration"
+    "approach", "travel", "wrench", "torque", "time", "temperature", "order", "range", "session", "speed", "acceleration",
+    *NUMBERED,
 )  # fmt: skip
 READINGS = "q{joint}_{deg|mm}"  # the columns of joint readings
 VIAS = "via{joint}_{deg|mm}"  # the same for a via pose
@@ -113,8 +115,8 @@ def _points(points: object) -> ca.SX:
     return ca.SX(ca.DM(np.array(points, dtype=float).reshape(-1, 3).T))
 
 
-def session_number(name: str) -> float:
-    """Return the integer that encodes a session's name in packed rows; 0 means no session.
+def name_number(name: str) -> float:
+    """Return the integer that encodes a name (of a session, say) in packed rows; 0 means none.
 
     It is 52 bits of the name's SHA-256, so that collisions are practically impossible.
     """
@@ -128,8 +130,9 @@ class Row:
     reading: joint readings; q: joint angles (signs and couplings resolved); payload, marker: one-hot over the robot's
     names; approach: direction each joint came from (-1, 0, +1); travel: distance since it last reversed; wrench: force
     and moment at the marker, in the base frame; torque: measured motor torques, which replace the computed ones; time:
-    from the first row; order: position in measuring order; range: distance from the measuring device; session: see
-    `session_number`; speed, acceleration: first and second time derivatives of readings, zero if unknown.
+    from the first row; order: position in measuring order; range: distance from the measuring device; session, and
+    camera_number, target_number where there are several: see `name_number`; speed, acceleration: first and second time
+    derivatives of readings, zero if unknown.
     """
 
     reading: ca.SX
@@ -146,6 +149,8 @@ class Row:
     session: ca.SX
     speed: ca.SX
     acceleration: ca.SX
+    camera_number: ca.SX
+    target_number: ca.SX
     q: ca.SX
 
     @staticmethod
