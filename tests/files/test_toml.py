@@ -121,6 +121,7 @@ MISTAKES = {
         ("[split]", 'url = "https://a.b/c"\n[split]', "7: measurements: a url needs the file's sha256"),
         ("[split]", 'decimal = ","\n[split]', "7: measurements: separator and decimal are both ','"),
         ("[split]", 'separator = ""\n[split]', "10: measurements.separator: expected one character, found ''"),
+        ("[split]", 'encoding = "uft-8"\n[split]', "10: measurements.encoding: expected a name such as utf-8"),
         ("[split]", 'decimal = ";"\n[split]', "10: measurements.decimal: expected '.' or ',', found ';'"),
         ("poses = 8", "posse = 8", "14: stages.select.posse: unknown key, did you mean 'poses'?"),
         ("poses = 8", "poses = 8.0", "14: stages.select.poses: expected a whole number, found 8.0"),

@@ -408,7 +408,7 @@ def test_where_no_pose_shows_the_target_it_is_said_why(tmp_path):
         candidates(build(robot, ("geometry",), (), (camera,)), 12, "", "tool", None, np.random.default_rng(1), camera)
     made = photographed(UR5E, True, 4, np.random.default_rng(6), points=COARSE)
     for setting, told in (
-        ("target_size_mm = [0, 90]", "target_size: expected two"),
+        ("target_size_mm = [0, 90]", "target_size_mm: expected two"),
         ("focus_mm = [700, 250]", "focus: expected"),
     ):
         with pytest.raises(InputError, match=told):

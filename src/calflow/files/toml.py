@@ -555,6 +555,8 @@ def _problem(
     message, written = _refusal_words(item, expected), _written(raw, location)
     if isinstance(value, _Wrong):
         message, wrong, written = value.reason, True, (*written[:-1], value.key)
+    elif wrong:
+        message, written = _at_its_key(message, raw, written)
     elif item["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
         key = str(location[-1])
         message, wrong = f"unknown key{nearest(key, _known_keys(kind, location[:-1]))}", True
@@ -577,6 +579,13 @@ def _refusal_words(item: Any, expected: Mapping[str, str]) -> str:
     message = expected.get(item["type"], "").format(**item.get("ctx", {})) or item["msg"]
     message = re.sub("^Input should be (greater|less)", r"expected a number \1", message)
     return re.sub("^Input should be ", "expected ", message).removeprefix("Value error, ")
+
+
+def _at_its_key(message: str, raw: Any, location: tuple[Any, ...]) -> tuple[str, tuple[Any, ...]]:
+    """A table's message and its location: that of the key, if the message begins with one that the table has."""
+    name, _, words = message.partition(": ")
+    at = (*location, *_written(_at(raw, location), (name,)))
+    return (words, at) if words and _at(raw, at) is not None else (message, location)
 
 
 def _written(raw: Any, location: tuple[Any, ...]) -> tuple[Any, ...]:

@@ -94,13 +94,6 @@ class MeasurementSource(FileModel):
             )
         return columns
 
-    @field_validator("separator")
-    @classmethod
-    def _is_one_character(cls, separator: str) -> str:
-        if len(separator) != 1:
-            raise ValueError(f"expected one character, found {separator!r}")
-        return separator
-
     @field_validator("url")
     @classmethod
     def _is_fetched_safely(cls, url: str | None) -> str | None:

@@ -20,7 +20,7 @@ from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.needed_conditions import check_payload_stated, check_stated
 from calflow.files.problems import InputError, nearest, refuse, unknown_name
 from calflow.files.toml import checked_arguments
-from calflow.files.units import split_unit, to_si
+from calflow.files.units import in_si, split_unit
 from calflow.measurements.measurements import Measurements
 from calflow.programs.aims import FilterSettings, all_targets
 from calflow.programs.backup import is_backup, read_files
@@ -196,6 +196,5 @@ def _conditions(stated: Mapping[str, float]) -> dict[str, float]:
             raise refuse(f"expected one of {', '.join(names)}{nearest(name, names)}", key=f"--condition {name}")
         if not np.isfinite(value):
             raise refuse(f"expected a finite number, found {value:g}", key=f"--condition {name}")
-        factor, offset = to_si(split[1])
-        conditions[split[0]] = factor * value + offset
+        conditions[split[0]] = in_si(split[1], value)
     return conditions
