@@ -44,6 +44,18 @@ def test_commands_land_where_predict_says(finished, asked):
     np.testing.assert_allclose(landed["expected_mm"], expected, rtol=1e-3)
 
 
+def test_commands_that_gain_nothing_for_certain_say_so(finished, asked):
+    """Fails if targets where the readings already lead, by the model, look worse with commands, and nothing says why."""
+    finished.measure(asked[["pose", "payload", "marker", *Q]], "rows.csv")
+    assert finished.calflow("predict", finished / "runs", finished / "rows.csv", "--out", finished / "p.csv").code == 0
+    finished.measure(pd.read_csv(finished / "p.csv")[["pose", "payload", "marker", *Q, *X]], "p.csv")
+    for file, told in (("targets.csv", False), ("p.csv", True)):
+        answer = finished.calflow(
+            "compensate", finished / "runs", finished / file, "--out", finished / "c.csv", "--force"
+        )
+        assert ("no gain is certain" in answer.out) == told
+
+
 def test_a_user_s_own_file_is_not_written_over(finished, asked):
     """Fails if --out may name the file that is read, which would be gone."""
     before = (finished / "targets.csv").read_bytes()

@@ -101,10 +101,10 @@ def compensate_command(
     landed = table[table["reached"]]
     say(f"{len(landed)} of {len(table)} targets reached")
     if len(landed):
-        say(
-            f"RMS distance from the target: {_rms(landed['nominal_miss_mm']):.3f} mm with nominal commands, "
-            f"{_rms(landed['expected_mm']):.3f} mm expected with these"
-        )
+        before, now = _rms(landed["nominal_miss_mm"]), _rms(landed["expected_mm"])
+        say(f"RMS distance from the target: {before:.3f} mm with nominal commands, {now:.3f} mm expected with these")
+        if now >= before:
+            say("no gain is certain: the model itself may be off by more than these commands correct")
 
 
 def _rms(values: pd.Series) -> float:

@@ -172,9 +172,9 @@ def no_better_in_space(outcome: RunOutcome) -> list[Advice]:
     off, promised = over_ranges(rows)
     sentence = (
         "The images fit, and yet the calibrated tool may be no nearer than the maker's robot (probability that it is nearer: "
-        f"{promised.better:.2f}). Over the joints' ranges it is expected to err by {mm(promised.rms_mm)} mm, and the maker's robot "
-        f"is {mm(off.rms_mm)} mm from it. Take more images, with the board tilted to all sides, near and far, and the joints all "
-        "over their ranges. State the lens where it is known, and only there."
+        f"{promised.better:.2f}). Over the joints' ranges it is expected to err by {mm(promised.mean_mm)} mm on average, and the "
+        f"maker's robot is {mm(off.mean_mm)} mm from it. Take more images, with the board tilted to all sides, near and far, and "
+        "the joints all over their ranges. State the lens where it is known, and only there."
     )
     return [Advice(1 if promised.better < EVEN else 2, sentence)]
 

@@ -442,6 +442,22 @@ def mistaken_figures(outcome: RunOutcome) -> Iterator[Advice]:
         yield Advice(2, sentence, AT_THE_DESK)
 
 
+def place_assumed(outcome: RunOutcome) -> Iterator[Advice]:
+    """A length that nothing measures, and that makes most of what is promised of the tool, is worth stating better."""
+    promised = outcome.certainty.prediction_sd_mm if outcome.certainty.untold else math.inf
+    for row in outcome.fitted_parameters:
+        assumed = row.effect == Geometry.id and row.unit == "m" and row.prior_share > BY_PRIOR
+        if assumed and 1e3 * row.sd > BY_PRIOR * promised:
+            sentence = (
+                f"No measurement tells {meant(row)}, and it counts as known to {mm(1e3 * row.sd)} mm only: that is most of the "
+                f"{mm(promised)} mm to expect of the tool in the measuring frame. State it better, or the place of what it was "
+                "measured from."
+            )
+            yield Advice(
+                2, sentence, AT_THE_DESK, f"[parameters.{row.parameter}] with prior_mean_mm = 0 and prior_sd_mm"
+            )
+
+
 def unlike_expected(outcome: RunOutcome) -> Iterator[Advice]:
     """What a robot file or study expects of a parameter, and the data contradict, bends whatever they hardly determine."""
     stated = [row for row in outcome.fitted_parameters if row.prior_mean]
@@ -597,7 +613,14 @@ RULES: Mapping[str, tuple[Rule, ...]] = {
     ),
     "diagnose/summary.json": (*CAUSE_RULES, look_for_reason, look_for_structure, advised_poses, other_means, untested),
     "identify/residuals.csv": (flagged_rows,),
-    "identify/parameters.csv": (at_bound, mistaken_figures, unlike_expected, size_unlike_stated, board_as_stated),
+    "identify/parameters.csv": (
+        at_bound,
+        mistaken_figures,
+        place_assumed,
+        unlike_expected,
+        size_unlike_stated,
+        board_as_stated,
+    ),
     "identify/placement.csv": (second_marker, unseen_compliance),
     ISOLABILITY_TABLE: (add_to_the_plan,),
     "sample/summary.json": (too_short, ensembles_disagree),
