@@ -409,7 +409,7 @@ def test_where_no_pose_shows_the_target_it_is_said_why(tmp_path):
     made = photographed(UR5E, True, 4, np.random.default_rng(6), points=COARSE)
     for setting, told in (
         ("target_size_mm = [0, 90]", "target_size_mm: expected two"),
-        ("focus_mm = [700, 250]", "focus: expected"),
+        ("focus_mm = [700, 250]", "focus_mm: expected"),
     ):
         with pytest.raises(InputError, match=told):
             study(tmp_path, made, "ur5e", True, setting).measurements()
