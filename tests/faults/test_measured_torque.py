@@ -46,13 +46,14 @@ def test_torques_that_are_right_are_no_fault(tmp_path, robot, masses):
 
 @pytest.mark.parametrize("masses", [True, False])
 def test_all_signs_wrong_are_turned(tmp_path, masses):
-    """Fails if torques that all count the other way are let stand, a column of no load is forgotten, or a later stage differs."""
+    """Fails if torques that all count the other way are let stand, or told joint by joint; a column of no load is forgotten; or a
+    later stage differs.
+    """
     data = with_torques(tmp_path, masses=masses)
     wrong = times(data, dict.fromkeys(range(1, 7), -1.0))
     after, found = examined(wrong)
-    assert [(one.cause, one.joint, one.action) for one in found] == [
-        ("torque-sign", k, "corrected") for k in range(1, 7)
-    ]
+    assert [(one.cause, one.joint, one.action) for one in found] == [("torque-sign", 0, "corrected")]
+    assert found[0].statement.startswith("joints 1, 2, 3, 4, 5 and 6: measured torques have the wrong sign")
     np.testing.assert_array_equal(after.table["tau2"], data.table["tau2"])
     again = corrected(wrong, as_table(found, wrong))
     np.testing.assert_array_equal(again.table["tau1"], data.table["tau1"])
@@ -65,7 +66,9 @@ def test_torques_as_the_readings_count_are_turned(tmp_path):
     table = data.table.assign(q2=-data.table["q2"], q5=-data.table["q5"])
     backwards = times(Measurements(replace(data.robot, joints=joints), table, data.notes), {2: -1.0, 5: -1.0})
     found = measured_torque(backwards)
-    assert [(one.joint, one.action) for one in found] == [(2, "corrected"), (5, "corrected")]
+    assert [(one.action, [made.quantity for made in one.corrections]) for one in found] == [
+        ("corrected", ["tau2", "tau5"])
+    ]
 
 
 def test_one_wrong_sign_is_said_and_not_changed(tmp_path):

@@ -326,6 +326,9 @@ SPEAKS: list[tuple[Rule, Mapping[str, object], int, str]] = [
     (ranked.look_for_structure, {**diagnosed(worst=OF_A_DAY), "identify/accuracy.csv": accuracies(), "diagnose/findings.csv":
         to_frame([MISFIT, UNREPEATED], Finding)}, 2,
      "largest where the session is tue: 0.3 mm against 0.1 mm elsewhere. The robot is the same for all: the noise"),
+    (ranked.look_for_structure, {**diagnosed(worst=replace(OF_A_DAY, input="marker", value="B")),
+                                 "diagnose/findings.csv": to_frame([MISFIT], Finding)}, 2,
+     "explains it. Look first whether marker B sits firmly and is clean. Measure again where marker is B, coming"),
     (ranked.look_for_structure, {"diagnose/findings.csv": to_frame([UNREPEATED], Finding), "diagnose/candidates.csv":
         candidates("approach")}, 2, "too short for these poses: by 0.1 mrad. Note the side"),
     (ranked.look_for_structure, {"diagnose/findings.csv": to_frame([UNREPEATED], Finding)}, 2, "Look at its gear"),

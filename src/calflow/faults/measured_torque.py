@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from calflow.faults.base import MEASUREMENT_FILE, ROBOT_FILE, Correction, Fault, fault
+from calflow.files.words import listed, plural_word
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import numbered
 from calflow.robot.mechanism import Row, gravity_torque, moment_torques, reachable
@@ -38,10 +40,10 @@ class TorqueComparison:
 
 
 def measured_torque(data: Measurements) -> tuple[Fault, ...]:
-    """Return one fault per joint whose measured torques have the wrong sign or scale against computed gravity torques.
+    """Return the faults of joints whose measured torques have the wrong sign or scale against computed gravity torques.
 
-    Signs are corrected if all joints, or all with reversed readings, agree; a scale is only reported, since torques or
-    masses may be wrong.
+    Signs are corrected, as one fault, if all joints, or all with reversed readings, agree; a scale is only reported, since
+    torques or masses may be wrong.
     """
     compared = {comparison.joint: comparison for comparison in comparisons(data)}
     turned = {joint for joint, comparison in compared.items() if comparison.correlation < AGAINST}
@@ -50,24 +52,28 @@ def measured_torque(data: Measurements) -> tuple[Fault, ...]:
     # The controller's sign convention of motor torques: all joints alike, unloaded ones too.
     for alike in (set(range(data.robot.n_joints)), backwards):
         if turned and turned == alike & {*compared} == alike & clear:
-            signs = [_turned(data, joint, compared.get(joint), True) for joint in sorted(alike)]
+            signs = [_turned(data, sorted(alike), compared, True)]
             break
     else:
-        signs = [_turned(data, joint, compared[joint], False) for joint in sorted(turned)]
+        signs = [_turned(data, [joint], compared, False) for joint in sorted(turned)]
     return (*signs, *(_scaled(data, comparison) for comparison in compared.values() if comparison.off))
 
 
-def _turned(data: Measurements, joint: int, compared: TorqueComparison | None, clear: bool) -> Fault:
-    """Return the fault of a joint's torques with the wrong sign, which is corrected if that is unambiguous."""
-    number, why = joint + 1, "like those of joints loaded by gravity"
-    if compared:
-        why = f"correlation {compared.correlation:.3f} with {compared.against}"
-    correction = Correction(0, f"tau{number}", factor=-1.0) if clear else Correction(0)
-    action = f"corrected for this run only; correct column tau{number}, too"
+def _turned(data: Measurements, joints: Sequence[int], compared: Mapping[int, TorqueComparison], clear: bool) -> Fault:
+    """Return the fault of joints' torques with the wrong sign, which is corrected if that is unambiguous."""
+    numbers = [joint + 1 for joint in joints]
+    weakest = max((compared[joint] for joint in joints if joint in compared), key=lambda one: one.correlation)
+    columns = f"{plural_word(numbers, 'column')} {listed([f'tau{number}' for number in numbers], len(numbers))}"
+    action = f"corrected for this run only; correct {columns}, too"
     if not clear:
-        action = f"not changed, since other joints' are right: check the sign convention of tau{number}"
-    statement = f"joint {number}: measured torques have the wrong sign ({why}); {action}"
-    return fault("torque-sign", data, number, [correction], "corrected" if clear else "told", statement)
+        action = f"not changed, since other joints' are right: check the sign convention of {columns}"
+    statement = (
+        f"{plural_word(numbers, 'joint')} {listed(numbers, len(numbers))}: measured torques have the wrong sign (correlation "
+        f"{weakest.correlation:.3f}{' or less' if len(numbers) > 1 else ''} with {weakest.against}); {action}"
+    )
+    turned = [Correction(0, f"tau{number}", factor=-1.0) for number in numbers] if clear else [Correction(0)]
+    number = numbers[0] if len(numbers) == 1 else 0
+    return fault("torque-sign", data, number, turned, "corrected" if clear else "told", statement)
 
 
 def _scaled(data: Measurements, compared: TorqueComparison) -> Fault:

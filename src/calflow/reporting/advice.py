@@ -274,9 +274,15 @@ def _look_there(outcome: RunOutcome) -> Advice:
     """Return the advice on a lack of fit that depends on no input."""
     worst = outcome.diagnosis_summary.worst
     where = f"where {worst.where}" if worst else "at the poses with the largest errors"
+    # A single marker that errs moves neither robot nor tool, and no cause is of its scatter.
+    loose = (
+        f" Look first whether marker {worst.value} sits firmly and is clean."
+        if worst and worst.input == "marker"
+        else ""
+    )
     sentence = (
-        f"More is left than noise, and nothing that was tested explains it{_nearest(outcome)}. Measure again {where}, coming "
-        "back to some poses from elsewhere. What repeats is the robot's; what does not is the instrument's or the set-up's."
+        f"More is left than noise, and nothing that was tested explains it{_nearest(outcome)}.{loose} Measure again {where}, "
+        "coming back to some poses from elsewhere. What repeats is the robot's; what does not is the instrument's or the set-up's."
     )
     return Advice(2, sentence, keys="" if worst else "diagnose/residuals.csv has the errors", poses=REPEATS)
 
