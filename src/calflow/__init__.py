@@ -1,8 +1,12 @@
 """calflow calibrates robots from measurements, names what the model still gets wrong, and says how certain it is.
 
-    import calflow as cf robot = cf.Robot.from_toml("robot.toml") data = cf.Measurements.from_csv("points.csv",
-    robot).split(holdout=0.3, seed=1) calibration = cf.identify(robot, data, effects=["geometry", "joint-compliance"]) better =
-    calibration.diagnose() better.save("runs/mine")
+    import calflow as cf
+
+    robot = cf.Robot.from_toml("robot.toml")
+    data = cf.Measurements.from_csv("points.csv", robot).split(holdout=0.3, seed=1)
+    calibration = cf.identify(robot, data, effects=["geometry", "joint-compliance"])
+    better = calibration.diagnose()
+    better.save("runs/mine")
 
 A study on disk: `study = cf.load_study("studies/hh800/study.toml")`, `result = cf.run(study)`, then
 `result.tables["identify/accuracy.csv"]` is a DataFrame. docs/api.md has the rest.
