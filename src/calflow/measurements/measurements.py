@@ -151,8 +151,8 @@ class Measurements:
 
     def _words(self) -> dict[str, str]:
         """Return the captions and texts of the summary that a notebook shows."""
-        counted = {name: str(self.table[name].nunique()) for name in ("pose",) if name in self.table}
-        words = {"rows": str(len(self)), "poses": counted.get("pose", "unknown")}
+        poses = str(self.table["pose"].nunique()) if "pose" in self.table else "unknown"
+        words = {"rows": str(len(self)), "poses": poses}
         for name in ("marker", "payload"):
             if name in self.table:
                 words[f"{name}s"] = ", ".join(str(value) or "none" for value in self.table[name].unique())

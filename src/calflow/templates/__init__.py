@@ -117,18 +117,21 @@ def _texts(study: str, robot: str, tip: urdf.Tips, base: str | None, factory: Pa
     elif tip or base is not None:
         raise refuse(f"tip and base are links of a URDF: expected --robot FILE{urdf.SUFFIX}")
     elif robot:
-        text = library_file(robot)
-        described = {"robot.toml": _with_factory(text, factory) if factory else text}
+        described = {"robot.toml": library_file(robot)}
+        if factory:
+            described = {"robot.toml": with_factory_calibration(_robot_of(described), factory).toml_text()}
     else:
         return {name: _filled(_template(name), {"STUDY_NAME": study}) for name in FILES}
-    return described | _asked(study, described)
+    words = _words(study, _robot_of(described))
+    return described | {name: _filled(_template(f"given/{name}"), words) for name in ("study.toml", "truth.toml")}
 
 
-def _with_factory(text: str, factory: Path) -> str:
-    """Return the text of a robot file with the figures of a factory calibration."""
+def _robot_of(texts: Mapping[str, str]) -> Robot:
+    """Return the robot that files describe, given their texts by name."""
     with tempfile.TemporaryDirectory() as folder:
-        (Path(folder) / "robot.toml").write_text(text, encoding="utf-8")
-        return with_factory_calibration(Robot.from_toml(Path(folder) / "robot.toml"), factory).toml_text()
+        for name, text in texts.items():
+            (Path(folder) / name).write_text(text, encoding="utf-8")
+        return Robot.from_toml(Path(folder) / "robot.toml")
 
 
 def _of_urdf(path: Path, tip: urdf.Tips, base: str | None) -> dict[str, str]:
@@ -174,15 +177,6 @@ def _beside(joint: UrdfJoint, carries: bool) -> str:
         *(["carries what the base link is of; the robot stands beside it"] if carries else []),
     ]
     return f"  ({'; '.join(notes)})" if notes else ""
-
-
-def _asked(study: str, described: Mapping[str, str]) -> dict[str, str]:
-    """Return the texts of the study and truth files for a robot described by files."""
-    with tempfile.TemporaryDirectory() as folder:
-        for name, text in described.items():
-            (Path(folder) / name).write_text(text, encoding="utf-8")
-        robot = Robot.from_toml(Path(folder) / "robot.toml")
-    return {name: _filled(_template(f"given/{name}"), _words(study, robot)) for name in ("study.toml", "truth.toml")}
 
 
 def study_text(folder: Path, robot: Robot, robot_file: str) -> str:
