@@ -74,6 +74,13 @@ def test_a_series_called_as_a_marker_is_refused(tmp_path):
         load_study(path).measurements()
 
 
+def test_every_start_sees_the_board(tmp_path):
+    """Fails if a fit starts where the board is behind the camera, or the lens turned inside out: none finds back from there."""
+    made = photographed(UR5E, True, 20, np.random.default_rng(5), points=COARSE)
+    found = fit_effects(study(tmp_path, made, "ur5e", True).measurements(), ["geometry"], starts=8)
+    assert found.agreeing == 8
+
+
 def test_a_lens_shows_points_as_brown_says_and_finds_the_way_back():
     """Fails if a coefficient is in another place than OpenCV's, or the way back does not end where it began."""
     optics = Optics(bend=(-0.2, 0.1, 2e-3, -1e-3, 0.02))

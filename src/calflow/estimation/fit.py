@@ -145,8 +145,15 @@ def fit(problem: LeastSquares, starts: np.ndarray | None = None, loss: Loss = "l
 
 
 def draw_starts(model: Model, n_starts: int, rng: np.random.Generator) -> np.ndarray:
-    """Return the priors' means and n_starts - 1 draws with half the priors' standard deviation, (n_starts, n_parameters)."""
+    """Return the priors' means and n_starts - 1 draws with half the priors' standard deviation, (n_starts, n_parameters).
+
+    What an observation places (a camera with its lens, a board) starts where it was registered: half a metre off, a board may
+    be behind its camera, from where no fit finds back.
+    """
     drawn = model.prior_mean + 0.5 * model.prior_sd * rng.standard_normal((n_starts - 1, len(model.prior_mean)))
+    for observation in model.observations:
+        columns = model.columns(observation)
+        drawn[:, columns] = model.prior_mean[columns]
     return np.vstack([model.prior_mean, np.clip(drawn, *model.bounds.T)])
 
 

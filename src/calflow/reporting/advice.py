@@ -449,10 +449,10 @@ def mistaken_figures(outcome: RunOutcome) -> Iterator[Advice]:
 
 
 def place_assumed(outcome: RunOutcome) -> Iterator[Advice]:
-    """A length that nothing measures, and that makes most of what is promised of the tool, is worth stating better."""
+    """A marker's place that nothing measures, and that makes most of what is promised of the tool, is worth stating better."""
     promised = outcome.certainty.prediction_sd_mm if outcome.certainty.untold else math.inf
     for row in outcome.fitted_parameters:
-        assumed = row.effect == Geometry.id and row.unit == "m" and row.prior_share > BY_PRIOR
+        assumed = row.effect == Geometry.id and not row.joint and row.unit == "m" and row.prior_share > BY_PRIOR
         if assumed and 1e3 * row.sd > BY_PRIOR * promised:
             sentence = (
                 f"No measurement tells {meant(row)}, and it counts as known to {mm(1e3 * row.sd)} mm only: that is most of the "
