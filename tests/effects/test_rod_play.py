@@ -2,8 +2,15 @@
 
 from __future__ import annotations
 
+import casadi as ca
+import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
+import robots
+from calflow.effects.rod_play import RodPlay
+from calflow.model import Model, over_rows
+from calflow.robot.robot import Robot
 from hidden.causes import Hidden
 from hidden.test_hidden import case, found, only
 
@@ -19,3 +26,32 @@ def test_play_of_the_rod_is_told_from_that_of_the_gear(hidden, tmp_path):
     assert len(seen.causes) == 1, seen.causes
     assert seen.has(hidden.cause, 3)
     assert seen.unexplained.empty, seen.unexplained
+
+
+@pytest.mark.parametrize(
+    ("robot", "arm"), [(robots.palletiser(), 1.25), (robots.hh800_with_bars(0.7, 1.5, 0.9, "crossed"), 1.6)]
+)
+def test_the_rocker_turns_as_a_longer_rod_turns_it_where_crank_and_rod_line_up(robot: Robot, arm: float) -> None:
+    """Fails if the link turns farther than by the rod's length, as by a turn of the crank that moves nothing there, or rises."""
+    q, figures, play = robots.poses(robot, 60), robots.figures(robot), 1e-3
+    crank, rod, rocker = figures["bars"]
+    between = np.arange(0.1, 3.0, 1e-5)
+    _, towards = robots.closed_loop(arm, crank, rod, rocker, 0.0, between, robot.loop.assembly)
+    lined_up = between[np.nanargmin(np.abs(np.sin(towards - between)))]
+    q[:30, 2] = q[:30, 1] + robot.joints[1].frame.turn.value + lined_up
+    (load,) = robot.payloads
+    model = Model(robot, (RodPlay(robot),))
+    p, c = ca.SX.sym("p"), ca.SX.sym("c", model.n_conditions)
+    at = ca.Function("at", [p, c], [ca.densify(model.expression(p, c).position)])
+    found = over_rows(at, np.array([play]), robots.rows(model, q, load))[0].T
+    longer, shorter = (figures | {"bars": figures["bars"] + [0, way * play / 2, 0]} for way in (1, -1))
+    points = [robots.marker_position(robot, q, rods) for rods in (longer, shorter)]
+    energies = []
+    for rods in (longer, shorter):
+        bodies = robots.masses(robot, robots.frames(robot, q, rods), load)
+        energies.append(-sum(mass * place @ np.array(robot.gravity) for mass, place, link in bodies if link >= 0))
+    loaded = np.abs(energies[0] - energies[1]) > 0.2 * np.abs(energies[0] - energies[1]).max()
+    assert loaded[:30].sum() > 5
+    sunk = np.where((energies[0] < energies[1])[:, None], *points)
+    assert_allclose(found[loaded], sunk[loaded], atol=2e-6)
+    assert np.abs(points[0] - points[1]).max() < 20 * play
