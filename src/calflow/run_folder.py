@@ -64,6 +64,11 @@ class StageEntry(_Kept):
     finished: Text = ""
     outputs: dict[Text, Text] | None = None
 
+    @property
+    def stopped(self) -> str:
+        """How its last execution ended before it was done; empty where it was."""
+        return {"done": "", "failed": "failed"}.get(self.status, "was interrupted")
+
     @model_validator(mode="after")
     def _tells_what_was_done(self) -> StageEntry:
         if self.status == "done" and (self.outputs is None or self.seconds is None):

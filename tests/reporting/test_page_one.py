@@ -85,10 +85,14 @@ def test_what_cannot_be_told_is_short(small: Context, wholly: bool) -> None:
 
 
 def test_a_stage_without_results_is_told(small: Context) -> None:
-    """Fails if a report of identify alone, diagnosis being outdated, looks like one of the study's whole workflow."""
+    """Fails if a report of identify alone, diagnosis being outdated, looks like one of the study's whole workflow, or says of a
+    stage that failed that it was not run.
+    """
     material = report_material(small.study, small.results, small.run_folder)
     line = "without the stage diagnose: not run, or outdated since"
-    assert line in page_one(replace(material, settings={"identify": {}, "diagnose": {}, "report": {}}))
+    whole = replace(material, settings={"identify": {}, "diagnose": {}, "report": {}})
+    assert line in page_one(whole)
+    assert "without the stage diagnose: failed" in page_one(replace(whole, stopped={"diagnose": "failed"}))
     assert line not in page_one(replace(material, settings={"identify": {}, "report": {}}))
 
 

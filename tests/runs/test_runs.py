@@ -8,6 +8,7 @@ import json
 import resource
 import shutil
 import signal
+from dataclasses import replace
 from functools import partial
 from importlib import metadata
 
@@ -19,6 +20,7 @@ from filelock import FileLock
 
 import calflow
 from calflow.files import tables
+from calflow.files.problems import refuse
 from calflow.files.tables import Results
 from calflow.files.toml import FileModel
 from calflow.run_folder import default_folder
@@ -165,7 +167,9 @@ def test_an_unknown_stage_is_refused(finished):
 
 
 def test_a_stage_takes_others_into_account_only_where_they_hold(finished, monkeypatch):
-    """Fails if a late stage run alone misses results that are there, or passes over outdated ones in silence, or asks for more."""
+    """Fails if a late stage run alone misses results that are there, passes over outdated ones in silence or calls those of a stage
+    outdated that failed, or asks for more.
+    """
 
     class None_(FileModel):
         """No settings."""
@@ -190,6 +194,14 @@ def test_a_stage_takes_others_into_account_only_where_they_hold(finished, monkey
     found = reasons(finished, "--stage", "last")
     assert found == {"select": None, "identify": None, "last": "sample changed"}
     assert "sample is left out: its results are of other" in finished.calflow("run", "--stage", "last").out
+
+    def fails(context):
+        raise refuse("no chain")
+
+    broken = replace(planning.STAGES["sample"], run=fails)
+    monkeypatch.setattr(planning, "STAGES", {**planning.STAGES, "sample": broken})
+    assert finished.calflow("run", "--stage", "sample").code == 2
+    assert "sample is left out: it failed; run the study" in finished.calflow("run", "--stage", "last").out
 
 
 def test_a_report_has_what_was_sampled_besides_the_workflow(small):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -33,7 +33,8 @@ DRAWN, WORST = 5_000, 100  # rows that figures show individually: more dots woul
 class Material(RunOutcome):
     """The request, robot and outcome of a run, from which the sections are written.
 
-    request: the study file; settings: those of each stage in order; chain: file of the sampled posterior.
+    request: the study file; settings: those of each stage in order; chain: file of the sampled posterior;
+    stopped: how stages ended that are not done (see `StageEntry`).
     load returns the calibrated model and its measurements; it is called where a section needs more than tables, and
     requires results of identify.
     """
@@ -44,6 +45,7 @@ class Material(RunOutcome):
     settings: Mapping[str, Mapping[str, Any]]
     load: Callable[[], tuple[CalibratedModel, Measurements]]
     chain: Path | None = None
+    stopped: Mapping[str, str] = field(default_factory=dict)
 
     @cached_property
     def _loaded(self) -> tuple[CalibratedModel, Measurements]:

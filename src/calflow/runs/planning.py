@@ -192,13 +192,15 @@ def foreseen(study: Study, stages: Iterable[Stage]) -> dict[str, Demand]:
     return {name: demand for name, demand in records.items() if demand.rows}
 
 
-def passed_over(folder: Path, only: str | None, steps: Sequence[PlannedStage]) -> list[str]:
-    """Return the optional upstream stages of a single stage whose results are left out because they are out of date."""
+def passed_over(folder: Path, only: str | None, steps: Sequence[PlannedStage]) -> dict[str, str]:
+    """Return the optional upstream stages of a single stage that are left out, each with the reason in words."""
     manifest = read_manifest(folder)
     if only is None or manifest is None:
-        return []
-    taken = {step.stage.name for step in steps}
-    return [name for name in STAGES[only].uses if name in manifest.stages and name not in taken]
+        return {}
+    left = {*STAGES[only].uses} & {*manifest.stages} - {step.stage.name for step in steps}
+    outdated = "its results are of other inputs, settings or versions, or were changed since"
+    stopped = {name: manifest.stages[name].stopped for name in STAGES[only].uses if name in left}
+    return {name: f"it {how}" if how else outdated for name, how in stopped.items()}
 
 
 def _with_needs(stage: str, stages: Mapping[str, Stage]) -> list[str]:

@@ -298,11 +298,8 @@ def run(
             steps = plan(study, folder, stage, force)
         _keep_inputs(study, folder)
         results = Results()
-        for name in passed_over(folder, stage, steps):
-            listener.say(
-                f"{name} is left out: its results are of other inputs, settings or versions, or were changed since; "
-                "run the study to renew them"
-            )
+        for name, why in passed_over(folder, stage, steps).items():
+            listener.say(f"{name} is left out: {why}; run the study to renew its results")
         for step in steps:
             if step.reuse:
                 listener.reuse(step.stage, step.reason)

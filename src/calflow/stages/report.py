@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from calflow.deployment.figures_alone import EffortLevel
 from calflow.files.tables import Results, to_frame
+from calflow.run_folder import read_manifest
 from calflow.stages.settings import NoStageSettings
 from calflow.stages.stage import Context, Stage
 from calflow.study import Study
@@ -44,7 +45,9 @@ def report_material(study: Study, results: Results, run_folder: Path) -> Materia
         calibration = Calibration.of(study.robot, study.file, results, study.measurements)
         return calibration, calibration.data
 
-    return Material(results, study.robot, study.file, workflow, settings, load, sampled)
+    manifest = read_manifest(run_folder)
+    stopped = {name: entry.stopped for name, entry in manifest.stages.items()} if manifest else {}
+    return Material(results, study.robot, study.file, workflow, settings, load, sampled, stopped)
 
 
 STAGE = Stage(

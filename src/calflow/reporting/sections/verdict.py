@@ -184,12 +184,14 @@ def where_words(certainty: Certainty) -> str:
 
 
 def _stages_left_out(material: Material) -> list[str]:
-    """Return a line on the stages of the workflow without results; empty where all have them."""
+    """Return a line for each reason why stages of the workflow are without results; empty where all have them."""
     files = (*material.results.tables, *material.results.documents)
     without = [
         name for name in material.settings if name != "report" and not any(f.startswith(f"{name}/") for f in files)
     ]
-    return [f"without the stage {listed(without)}: not run, or outdated since"] if without else []
+    reasons = {name: material.stopped.get(name) or "not run, or outdated since" for name in without}
+    each = {reason: [name for name in without if reasons[name] == reason] for reason in reasons.values()}
+    return [f"without the stage {listed(names)}: {reason}" for reason, names in each.items()]
 
 
 def _measured(material: Material) -> str:
