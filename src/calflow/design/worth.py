@@ -99,7 +99,7 @@ class PlanInformation:
         if isinstance(self.request.planned.observation, Position):
             yield "a second station that measures every pose too", n, 2 * n, current + self._second_station()
         for k, parameter in enumerate(self.model.parameters):
-            if parameter.symbol == "scale":  # of what is observed: a board's print, a wire
+            if parameter.of_size:
                 exact = np.diag(EXACT * (np.arange(len(current)) == k))
                 yield f"the size of '{parameter.part}' known exactly", n, n, current + exact
         yield "every pose measured twice", n, 2 * n, information(self.own, current)

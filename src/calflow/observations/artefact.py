@@ -70,7 +70,7 @@ class Artefact(Touched):
         parameters = self.place_errors()
         if sd := self._scale_sd:
             parameters.append(Parameter(self.id, self.part, "scale", "1", sd, -FURTHEST * sd, FURTHEST * sd,
-                                   meaning=f"scale of {self.part}"))  # fmt: skip
+                                   meaning=f"scale of {self.part}", of_size=True))  # fmt: skip
         return tuple(parameters)
 
     def reported(self, table: pd.DataFrame) -> np.ndarray:

@@ -206,7 +206,7 @@ class Camera(Observation):
             sd = self.series.number(self.size_setting) or 0.0
             yield (
                 *self._place(part, "target", target.place),
-                self._error(part, PRINT_SCALE, "1", sd, FURTHEST * sd, 0.0, "scale of the print"),
+                self._error(part, PRINT_SCALE, "1", sd, FURTHEST * sd, 0.0, "scale of the print", of_size=True),
             )
 
     def _place(self, part: str, what: str, nominal: Six) -> list[Parameter | None]:
@@ -241,9 +241,21 @@ class Camera(Observation):
         )
 
     def _error(
-        self, part: str, symbol: str, unit: str, sd: float, bound: float, figure: float, meaning: str
+        self,
+        part: str,
+        symbol: str,
+        unit: str,
+        sd: float,
+        bound: float,
+        figure: float,
+        meaning: str,
+        of_size: bool = False,
     ) -> Parameter | None:
-        return Parameter(self.id, part, symbol, unit, sd, -bound, bound, figure=figure, meaning=meaning) if sd else None
+        if not sd:
+            return None
+        return Parameter(
+            self.id, part, symbol, unit, sd, -bound, bound, figure=figure, meaning=meaning, of_size=of_size
+        )
 
     @property
     def reports(self) -> int:

@@ -88,7 +88,18 @@ class Distance(OfThings):
             ("scale", "scale", "1", SCALE_SD, SCALE_BOUND, 0.0, f"scale of {self.part}"),
         ]
         return tuple(
-            Parameter(self.id, self.part, symbol, unit, sd, -bound, bound, figure=figure, meaning=meaning)
+            Parameter(
+                self.id,
+                self.part,
+                symbol,
+                unit,
+                sd,
+                -bound,
+                bound,
+                figure=figure,
+                meaning=meaning,
+                of_size=what == "scale",
+            )
             for what, symbol, unit, sd, bound, figure, meaning in described
             if what in self._open
         )

@@ -485,7 +485,8 @@ class Parameter:
     The prior is a normal distribution with mean prior_mean (nominal unless the robot file states another) and standard
     deviation prior_sd, truncated at the bounds. Parameters of one part are included or excluded together; joint: number
     of its joint or link, 0 for none; figure: the maker's value to which it is added, for tables that show the sum;
-    meaning: in words; held: its value if it is constant and no variable. Effect, variant, part and symbol are its
+    meaning: in words; of_size: whether it is the relative error of the size of what is measured, such as a board's; held:
+    its value if it is constant and no variable. Effect, variant, part and symbol are its
     identity, unique in a model like its name; variant and tag, which stands between part and symbol in the name, are
     set by the declaring part.
     """
@@ -505,6 +506,7 @@ class Parameter:
     tag: str = ""
     prior_mean: float = 0.0
     held: float | None = None
+    of_size: bool = False
 
     @property
     def identity(self) -> tuple[str, str, str, str]:
