@@ -14,6 +14,7 @@ from calflow.model import Model, over_rows
 from calflow.robot.mechanism import Deflection, Row, nominal_dimensions, nominal_loads, state
 from effects.bench import ROBOTS, Bench, made
 from effects.twins import SHARED, STEPS
+from hidden.causes import beam
 
 ANGLE = lambda bench, joint: np.rad2deg(bench.rows.q[:, joint - 1])  # noqa: E731
 TORQUE = lambda bench, joint: bench.still.torque[:, joint - 1]  # noqa: E731
@@ -21,6 +22,7 @@ PLACE = lambda bench, joint: bench.table.table["order"].to_numpy()  # noqa: E731
 LOAD = lambda bench, joint: bench.real.payload_mass[bench.rows.payload]  # noqa: E731
 HOURS = lambda bench, joint: bench.rows.time / 3600  # noqa: E731
 END = lambda bench, joint: np.linalg.norm(bench.still.tip_moment[:, joint - 1], axis=1)  # noqa: E731
+LINE = lambda bench, joint: np.abs(bench.still.tip_moment[:, joint - 1] @ beam(bench.real, joint - 1)[1])  # noqa: E731
 
 
 def by_rule(bench: Bench) -> np.ndarray:
@@ -48,7 +50,8 @@ AGAINST: dict[str, tuple[str, Callable[[Bench, int], np.ndarray]]] = {
     "bearing-compliance": ("Nm", lambda bench, joint: np.linalg.norm(bench.still.moment[:, joint - 1, :2], axis=1)),
     "base-play": ("Nm", lambda bench, joint: bench.still.base_moment[:, 0]),
     "base-compliance": ("Nm", lambda bench, joint: np.linalg.norm(bench.still.base_moment[:, :2], axis=1)),
-    **dict.fromkeys(("link-bending", "link-torsion"), ("Nm", END)),
+    "link-bending": ("Nm", END),
+    "link-torsion": ("Nm", LINE),
     "base-tilt": ("", lambda bench, joint: by_rule(bench)),
     "tool-sag": ("deg", lambda bench, joint: np.rad2deg(np.arccos(-bench.still.frames.tips[-1][:, 2, 2]))),
     **dict.fromkeys(("payload-mass", "payload-com", "tool-deflection"), ("kg", LOAD)),

@@ -201,7 +201,7 @@ def link_bending(h: Hidden, robot: Robot, rows: Rows, state: State) -> Motion:
     "to the wrist" it ends at the far end of the next joint's offset, where it is bent by force and moment there.
     """
     i = h.joint - 1
-    (length, along), force, moment = _beam(robot, i), state.tip_force[:, i], state.tip_moment[:, i]
+    (length, along), force, moment = beam(robot, i), state.tip_force[:, i], state.tip_moment[:, i]
     beyond = np.zeros(3)
     if h.extra == "to the wrist":
         line, beyond = _to_the_wrist(robot, i)
@@ -224,7 +224,7 @@ def link_torsion(h: Hidden, robot: Robot, rows: Rows, state: State) -> Motion:
         return _motion(
             robot, rows, "bearing", h.size * (state.moment[:, i] @ line)[:, None] * line / np.linalg.norm(line), i
         )
-    length, along = _beam(robot, i)
+    length, along = beam(robot, i)
     twist = h.size * length * (state.tip_moment[:, i] @ along)[:, None] * along
     return _motion(robot, rows, "tip", np.concatenate([np.zeros_like(twist), twist], axis=1), i)
 
@@ -235,7 +235,7 @@ def _to_the_wrist(robot: Robot, i: int) -> tuple[Array, Array]:
     return np.array([robot.a[i + 1], 0.0, robot.d[i]]) + beyond, beyond
 
 
-def _beam(robot: Robot, i: int) -> tuple[float, Array]:
+def beam(robot: Robot, i: int) -> tuple[float, Array]:
     """Length and direction of a link in its own frame, from its joint's origin to the next joint's."""
     line = np.array([robot.a[..., i + 1].mean() if i + 1 < robot.n else 0.0, 0.0, robot.d[..., i].mean()])
     length = float(np.linalg.norm(line))

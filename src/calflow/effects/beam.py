@@ -125,6 +125,11 @@ class ElasticLink(Effect):
             link[:, beam.link + 1] = beam.bent(self.soft(beam, own), *beam.load(state))
         return replace(still, link=link)
 
+    def beam(self, joint: int) -> Beam:
+        """Return the link after a joint (from 1)."""
+        return next(beam for beam in self.beams if beam.link == joint - 1)
+
     def variable(self, joint: int) -> Variable:
         """Return the moment at the link's end."""
-        return Variable(f"moment at the end of link {joint}", "Nm", lambda state, row: ca.norm_2(state.link[3:, joint]))
+        beam = self.beam(joint)
+        return Variable(f"moment at the end of link {joint}", "Nm", lambda state, row: ca.norm_2(beam.load(state)[1]))

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from calflow.effects.base import Words
+from calflow.effects.base import Variable, Words
 from calflow.effects.beam import Beam, ElasticLink
 
 
@@ -23,3 +23,9 @@ class LinkTorsion(ElasticLink):
     def soft(self, beam: Beam, p: ca.SX) -> ca.SX:
         """Return the curvature along the link's line."""
         return p * (beam.line @ beam.line.T)
+
+    def variable(self, joint: int) -> Variable:
+        """Return the moment about the link's line, to either side."""
+        beam = self.beam(joint)
+        about = lambda state, row: ca.fabs(ca.dot(beam.line, beam.load(state)[1]))  # noqa: E731
+        return Variable(f"moment about the line of link {joint}", "Nm", about)
