@@ -26,6 +26,7 @@ from calflow.effects import Effect, catalogue, effect_class
 from calflow.effects.cause import Cause
 from calflow.files.problems import nearest, refuse
 from calflow.measurements.measurements import Measurements
+from calflow.measurements.source import sha256
 from calflow.observations import Observation, Seen
 from calflow.robot.frames import placement, turning
 from calflow.robot.mechanism import (
@@ -156,7 +157,7 @@ def _is_trusted(folder: Path, library: Path) -> bool:
         return False
     _check_owner(folder)
     _check_owner(library)
-    return library.stem.rpartition("-")[2] == _sha256(library)
+    return library.stem.rpartition("-")[2] == sha256(library)
 
 
 def _check_owner(path: Path) -> None:
@@ -200,14 +201,9 @@ def _build(command: list[str], source: str, folder: Path, key: str) -> Path:
         built.chmod(0o700)
         with built.open("rb+") as stream:
             os.fsync(stream.fileno())
-        library = folder / f"{key}-{_sha256(built)}.so"
+        library = folder / f"{key}-{sha256(built)}.so"
         built.replace(library)
     return library
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 @lru_cache

@@ -26,12 +26,11 @@ from calflow.estimation.model_tables import IdentifySummary, fit_figures
 from calflow.estimation.needed_conditions import needed_conditions
 from calflow.estimation.noise import Noise, NoiseSource, averaged, conditions, measured_noise, representative
 from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
-from calflow.estimation.registration import registered
+from calflow.estimation.registration import registered_model
 from calflow.files.problems import refuse
 from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, build, stated
-from calflow.observations import observations
 from calflow.observations.base import USUAL_SIZE_SD
 
 SIZE_ALARM = 1e-3  # probability that a board's stated size is doubted for lengths in proportion by chance
@@ -139,10 +138,8 @@ def fit_effects(
     Raises:
         InputError: the data are too few, or lack the requested source of noise.
     """
-    train = data.only(data.train)
-    robot, observed = registered(data.robot, observations(train), train)
-    data, train = data.on(robot), train.on(robot)
-    nominal = build(robot, (), data.given, observed)
+    nominal, data = registered_model(data)
+    train, robot, observed = data.only(data.train), data.robot, nominal.observations
     error = leading_errors(nominal, nominal.nominal, data)
     device = measured_noise(data, noise, nominal)
     doubts = doubts_of_repeats(data, error, tuple(source == "file" for source in device.sources))

@@ -17,7 +17,7 @@ from calflow.files.deferred import Rotation
 from calflow.files.problems import refuse
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, build
-from calflow.observations import Observation
+from calflow.observations import Observation, observations
 from calflow.observations.position import Position
 from calflow.robot.frames import Vector, angles, vector
 from calflow.robot.mechanism import Row, nominal_dimensions
@@ -141,6 +141,13 @@ def registered(
         registered_on(observation, rows, nominal, nominal.nominal) if len(rows) else observation
         for observation, rows in zip(observed, series, strict=True)
     )
+
+
+def registered_model(data: Measurements) -> tuple[Model, Measurements]:
+    """Return the model of the nominal robot, `registered` by the data's training rows, and the data as that robot's."""
+    train = data.only(data.train)
+    robot, observed = registered(data.robot, observations(train), train)
+    return build(robot, (), data.given, observed), data.on(robot)
 
 
 def check_one_tool(measured: Measurements) -> None:

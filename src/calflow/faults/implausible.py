@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from calflow.estimation.accuracy import distances, leading_errors
-from calflow.estimation.registration import registered
+from calflow.estimation.registration import registered_model
 from calflow.faults.base import lines_in_words
 from calflow.faults.mistake import LENGTH_UNITS
 from calflow.faults.setup import Setup
@@ -22,7 +22,6 @@ from calflow.files.words import rounded
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import at_rows
 from calflow.model import build
-from calflow.observations import observations
 
 # In m, and as a share of the reach: largest deviation of a robot from its maker's dimensions.
 IMPLAUSIBLE_ERROR, IMPLAUSIBLE_SHARE = 0.1, 0.1
@@ -161,11 +160,10 @@ def _other_unit(data: Measurements, k: int, limit: float) -> str:
 
 def _median_errors(data: Measurements) -> np.ndarray:
     """Return the nominal robot's median error of each series [m], (n_series,); nan where it reports no lengths, or few."""
-    train = data.only(data.train)
-    robot, observed = registered(data.robot, observations(train), train)
-    nominal = build(robot, (), data.given, observed)
-    error = distances(leading_errors(nominal, nominal.nominal, train.on(robot)))
-    each = [error[train.of_series(k)] if one.units[0] == METRE else error[:0] for k, one in enumerate(observed)]
+    nominal, train = registered_model(data.only(data.train))
+    error = distances(leading_errors(nominal, nominal.nominal, train))
+    series = enumerate(nominal.observations)
+    each = [error[train.of_series(k)] if one.units[0] == METRE else error[:0] for k, one in series]
     return np.array([np.median(errors) if len(errors) >= MIN_POSES else np.nan for errors in each])
 
 

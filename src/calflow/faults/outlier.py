@@ -18,7 +18,7 @@ from calflow.estimation.fit import Fit, fit_reweighted
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.leverage import Studentised
 from calflow.estimation.noise import measured_noise
-from calflow.estimation.registration import in_measuring_frame, registered
+from calflow.estimation.registration import in_measuring_frame, registered_model
 from calflow.faults.base import Correction, Fault, correct, fault, faulty_rows
 from calflow.faults.mistake import LENGTH_UNITS
 from calflow.faults.reference import EQUATIONS, Reference
@@ -147,11 +147,9 @@ def gross_rows(data: Measurements, which: np.ndarray) -> tuple[Fault, ...]:
     Raises:
         InputError: no such robot explains images.
     """
-    train = data.only(data.train)
-    robot, observed = registered(data.robot, observations(train), train)
-    here, train = data.on(robot), train.on(robot)
-    model = build(robot, ("geometry",), data.given, observed)
-    nominal = build(robot, (), data.given, observed)
+    nominal, here = registered_model(data)
+    train, observed = here.only(data.train), nominal.observations
+    model = build(here.robot, ("geometry",), data.given, observed)
     noise = measured_noise(here, "estimated", nominal).only(data.train)
     if LeastSquares.of(model, train, noise).size < EQUATIONS * len(model.parameters):
         return ()

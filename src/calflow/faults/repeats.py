@@ -13,14 +13,12 @@ import scipy
 from calflow.estimation.accuracy import leading_errors
 from calflow.estimation.lack_of_fit import NORMAL_MEDIAN
 from calflow.estimation.noise import MIN_REPEATS, conditions, deviations, members
-from calflow.estimation.registration import registered
+from calflow.estimation.registration import registered_model
 from calflow.faults.base import Fault, faulty_rows
 from calflow.faults.outlier import SMALL, in_range, limit_of_length, of_no_cause
 from calflow.files.words import listed
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import numbered
-from calflow.model import build
-from calflow.observations import observations
 
 FALSE_REMOVAL = 0.01  # probability that any of a series' repeats is compared with the others where all are normal
 MOST_POSES = 8  # named in a message
@@ -35,13 +33,11 @@ def odd_repeats(data: Measurements) -> tuple[Fault, ...]:
     repeated = used & (np.bincount(group, weights=used)[group] > 1)
     if not repeated.any():
         return ()
-    train = data.only(data.train)
-    robot, observed = registered(data.robot, observations(train), train)
-    model, data, faults = build(robot, (), data.given, observed), data.on(robot), list[Fault]()
+    (model, data), faults = registered_model(data), list[Fault]()
     error = leading_errors(model, model.nominal, data)
 
     def moved(joint: int, rows: np.ndarray) -> np.ndarray:
-        column, there = numbered("q", robot.n_joints)[joint], data.table.iloc[rows].reset_index(drop=True)
+        column, there = numbered("q", data.robot.n_joints)[joint], data.table.iloc[rows].reset_index(drop=True)
         stepped = replace(data, table=there.assign(**{column: there[column] + SMALL}))
         return np.nan_to_num(leading_errors(model, model.nominal, stepped) - error[rows])
 
@@ -55,13 +51,13 @@ def odd_repeats(data: Measurements) -> tuple[Fault, ...]:
         off = of_no_cause(data, far, times > 0, rows, moved)
         if off.any():
             of_series = f" of measurements {data.series[k].name or k + 1}" if len(data.series) > 1 else ""
-            size = observed[int(k)].units[0].shown(np.linalg.norm(far[off], axis=1))
+            size = model.observations[int(k)].units[0].shown(np.linalg.norm(far[off], axis=1))
             poses = list(dict.fromkeys(data.table["pose"][off].astype(str)))
             more = [f"{len(poses) - MOST_POSES} more"] if len(poses) > MOST_POSES else []
             differ = ", of two that differ both" if set(group[off]) - set(group[rows & ~off]) else ""
             statement = (
                 f"what was measured in LINES{of_series} (pose{'s' * (len(poses) > 1)} {listed(poses[:MOST_POSES] + more)}) is "
-                f"{in_range(size)} {observed[int(k)].units[0].label} off from the other repeats of its pose, "
+                f"{in_range(size)} {model.observations[int(k)].units[0].label} off from the other repeats of its pose, "
                 f"{in_range(times[off], 2)} times their scatter; left out{differ}; measure again or correct the file"
             )
             faults.append(faulty_rows("outlier", data, np.flatnonzero(off), "left out", statement))

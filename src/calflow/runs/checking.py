@@ -8,13 +8,12 @@ from functools import partial
 
 from calflow.estimation.accuracy import accuracy, leading_errors
 from calflow.estimation.lack_of_fit import NoiseDoubt, doubts_of_repeats
-from calflow.estimation.registration import registered
+from calflow.estimation.registration import registered_model
 from calflow.faults import Fault, examined
 from calflow.files.deferred import pd
 from calflow.files.problems import Problem, refuse_any, run_checks
 from calflow.measurements.measurements import Measurements
-from calflow.model import build, stated
-from calflow.observations import observations
+from calflow.model import stated
 from calflow.runs.planning import foreseen, stages_of
 from calflow.stages.catalogue import STAGES
 from calflow.stages.demand import Demand, memory_available, warned
@@ -76,10 +75,8 @@ def _settings(study: Study, data: Measurements | None) -> None:
 
 def _checked(study: Study, data: Measurements) -> Checked:
     mended, faults = examined(data, study.measurement_paths)
-    train = mended.only(mended.train)
-    robot, observed = registered(mended.robot, observations(train), train)
-    nominal = build(robot, (), data.given, observed)
-    error = leading_errors(nominal, nominal.nominal, mended.on(robot))
-    doubts = doubts_of_repeats(mended.on(robot), error, tuple(False for _ in data.series))
-    n_parameters = len(stated(study.robot, study.file.effects, train).parameters)
+    nominal, placed = registered_model(mended)
+    error = leading_errors(nominal, nominal.nominal, placed)
+    doubts = doubts_of_repeats(placed, error, tuple(False for _ in data.series))
+    n_parameters = len(stated(study.robot, study.file.effects, mended.only(mended.train)).parameters)
     return Checked(data, faults, n_parameters, pd.DataFrame(accuracy("nominal", error, mended)), doubts)
