@@ -226,3 +226,11 @@ def test_the_known_columns_are_those_that_are_read(small, read):
     assert len(extra) == 8
     given = dict.fromkeys(extra, 1) | {"temperature_K": 293}
     assert read(rows.assign(**given)).given == ("approach", "torque", "time", "temperature", "order")
+
+
+def test_rows_without_payload_or_session_are_split_as_one_block(small):
+    """Fails if a table of a program's own making is not split where nothing but the pose says what belongs together."""
+    table = pd.DataFrame({"pose": np.repeat([f"p{i}" for i in range(10)], 2)})
+    split = Measurements(Robot.from_toml(small / "robot.toml"), table).split(holdout=0.3).table
+    assert (split.groupby("pose")["split"].nunique() == 1).all()
+    assert (split["split"] == "holdout").sum() == 6

@@ -296,8 +296,8 @@ class Measurements:
             return self
         rng = np.random.default_rng(seed)
         table = self.table.assign(split="train")
-        first, *more = (table[name] for name in blocks_of(table))
-        every = reduce(lambda names, further: names + "\n" + further, more, first)
+        names = [table[name] for name in blocks_of(table)] or [pd.Series("", table.index)]
+        every = reduce(lambda first, further: first + "\n" + further, names)
         block = every.groupby(table["pose"]).agg(lambda names: "\n".join(sorted(set(names))))
         for _, group in block.groupby(block, sort=True):
             poses = np.sort(group.index)
