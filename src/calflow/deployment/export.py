@@ -256,11 +256,12 @@ def export(
     chain, drives_of = rigid_chain(robot), [(drives or {}).get(joint.name, Drive()) for joint in robot.joints]
     more = {"ur-calibration": (HASH,), "urdf": said_of_drives(chain, drives_of)}.get(to, ())
     notes = (*worth, *_said(lost), *said_of_variables(robot), *more)
-    heading = "; ".join(("calibrated figures, SI units", *notes))
+    said = ("calibrated figures, SI units", *notes)
+    heading = "; ".join(said)
     writers: dict[str, Callable[[], str]] = {
         "json": lambda: json_text(chain, {**_figures(calibrated, robot, lost), "notes": notes}),
         "mjcf": lambda: mjcf_text(chain, heading),
-        "ur-calibration": lambda: driver_yaml(chain, [j.frame.figures.get("d", 0.0) for j in robot.joints], heading),
+        "ur-calibration": lambda: driver_yaml(chain, [j.frame.figures.get("d", 0.0) for j in robot.joints], said),
         "urdf": lambda: urdf_text(chain, heading, drives_of),
         "xacro-properties": lambda: properties_text(chain, heading),
     }

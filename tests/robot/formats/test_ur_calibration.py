@@ -97,6 +97,7 @@ def flange(robot: cf.Robot, q: np.ndarray) -> np.ndarray:
 
 
 POSES = np.random.default_rng(1).uniform(-3, 3, (20, 6))
+NOTES = ("a note; of two halves", "another")
 
 
 @pytest.mark.parametrize("name", CALIBRATIONS)
@@ -115,11 +116,14 @@ def test_the_factory_calibration_is_the_controllers_robot(tmp_path, name):
 
 @pytest.mark.parametrize("name", CALIBRATIONS)
 def test_what_the_driver_loads_is_the_same_robot(tmp_path, name):
-    """Fails if the driver's URDF has the flange, or the tool's turn, elsewhere, or the file reads back as another robot."""
+    """Fails if the driver's URDF has the flange, or the tool's turn, elsewhere, the file reads back as another robot, or a note is
+    broken where it has a semicolon.
+    """
     of, *deltas = CALIBRATIONS[name]
     (tmp_path / "calibration.conf").write_text(conf(tuple(deltas)))
     robot = with_factory_calibration(ur(of, tmp_path), tmp_path / "calibration.conf")
-    text = driver_yaml(rigid_chain(robot), [joint.frame.figures["d"] for joint in robot.joints], "a note; another")
+    text = driver_yaml(rigid_chain(robot), [joint.frame.figures["d"] for joint in robot.joints], NOTES)
+    assert text.splitlines()[:2] == [f"# {note}" for note in NOTES]
     for q in POSES:
         np.testing.assert_allclose(driver(text, q), flange(robot, q), atol=1e-12)
     (tmp_path / "my_robot.yaml").write_text(text)
@@ -131,7 +135,7 @@ def test_what_the_driver_loads_is_the_same_robot(tmp_path, name):
 def test_the_nominal_robot_is_as_the_description_package_has_it(tmp_path):
     """Fails if joints' frames are others than those to which the package's meshes belong."""
     robot = ur("ur10e", tmp_path)
-    text = driver_yaml(rigid_chain(robot), [joint.frame.figures["d"] for joint in robot.joints], "")
+    text = driver_yaml(rigid_chain(robot), [joint.frame.figures["d"] for joint in robot.joints], ())
     found = yaml.safe_load(text)["kinematics"]
     expected = {  # ur_description, config/ur10e/default_kinematics.yaml
         "shoulder": (0, 0, 0.1807), "upper_arm": (0, 0, 0), "forearm": (-0.6127, 0, 0), "wrist_1": (-0.57155, 0, 0.17415),

@@ -7,7 +7,6 @@ The YAML has each joint's origin in the one before, its turn as URDF states it: 
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -160,8 +159,10 @@ def _along_axis(transform: np.ndarray) -> tuple[float, float] | None:
     return (theta, d) if same else None
 
 
-def driver_yaml(chain: RigidChain, along: Sequence[float], notes: str) -> str:
+def driver_yaml(chain: RigidChain, along: Sequence[float], notes: Sequence[str]) -> str:
     """Return a rigid chain as the YAML that Universal Robots' driver loads, each joint's frame moved along its axis [m].
+
+    Each note is a line of comment.
 
     Raises:
         InputError: it is no chain of six joints about z whose flange is on the last one's axis.
@@ -183,5 +184,5 @@ def driver_yaml(chain: RigidChain, along: Sequence[float], notes: str) -> str:
         figures = (*place[:3, 3], *rpy_of(place[:3, :3]))
         lines += [f"  {link}:", *(f"    {key}: {float(v) + 0.0!r}" for key, v in zip(PLACE, figures, strict=True))]
         before = np.linalg.inv(moved)
-    comments = [f"# {line}" for line in re.split(r"; |\n", notes)]
+    comments = [f"# {line}" for note in notes for line in note.splitlines()]
     return "\n".join([*comments, *lines, f"  hash: {UNKNOWN_HASH}", ""])
