@@ -8,9 +8,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
-from calflow.diagnosis.screening import Family
-from calflow.diagnosis.stepwise import FEW_COLUMNS, MOST_TRIALS, PATIENCE, CauseAcceptance, Stepwise
-from calflow.diagnosis.trial import Screened, Trial
+from calflow.diagnosis.regressors import Candidate
+from calflow.diagnosis.screening import Family, Score
+from calflow.diagnosis.stepwise import FEW_COLUMNS, MOST_TRIALS, PATIENCE, CauseAcceptance, Stepwise, second_thoughts
+from calflow.diagnosis.trial import Detection, Screened, Trial
 from calflow.linear import Block
 
 FAMILY = Family({}, 1.0)
@@ -103,3 +104,39 @@ def test_no_step_is_taken_from_a_model_that_proved_worse():
     best, *_ = search(lambda k: asked.add(k) or ((f"step {k}",) if k else (), 10.0 * k))
     assert best.step == 0
     assert asked == {0, 1}
+
+
+@dataclass(frozen=True)
+class Doubted(Wandering):
+    """A model with one finding."""
+
+    finding: Detection[Block] | None = None
+
+    @property
+    def causes(self):
+        """Its cause."""
+        return (self.finding.cause,)
+
+    @property
+    def findings(self):
+        """The finding."""
+        return (self.finding,)
+
+
+@pytest.mark.parametrize(("other", "better"), [(-43.5, True), (-30.5, False), (-10.0, False)])
+def test_another_form_of_a_cause_that_explains_more_takes_its_place(other, better):
+    """Fails if a cause keeps the form in which it was found where another of its own is clearly better beside the last model.
+
+    Beside the first model both explained the same, as an off-centre and an oval gear do where a joint turned half way.
+    """
+    first, second = form("a", 0), form("a", 1)
+
+    def score(cause: Block, cost: float) -> Score[Block]:
+        one = np.ones(1)
+        return Score(Candidate(cause, np.arange(1)), 40.0, 0.5, 1e-12, cost, 1.0, one, np.eye(1), np.eye(1), 1, LEFT)
+
+    scores = sorted([score(first, -30.0), score(second, other)], key=lambda each: each.cost)
+    trial = Doubted(
+        Screened((), FAMILY, LEFT), lambda _: (("a",), 0.0), finding=Detection(first, tuple(scores), FAMILY)
+    )
+    assert second_thoughts(trial, CauseAcceptance(0.01, 5)) == [second if better else first]

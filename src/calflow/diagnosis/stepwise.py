@@ -267,13 +267,16 @@ def words(cause: H) -> str:
 
 
 def second_thoughts(trial: Trial[H], acceptance: CauseAcceptance) -> list[H]:
-    """Return the causes with one dropped that is no longer accepted, or replaced by a more probable rival; one change at most."""
+    """Return the causes with one dropped that is no longer accepted, or replaced by a more probable rival or another form of its
+    own that explains the data better; one change at most.
+    """
     for finding in _weakest_first(trial.own_findings):
         if not acceptance.keeps(finding):
             return [cause for cause in trial.causes if cause != finding.cause]
     for finding in _weakest_first(trial.findings):
         cost, best = min(finding.places.values(), key=lambda scored: scored[0])
-        if cost < finding.cost and acceptance.accepts(best, finding.family):
+        better = cost < finding.cost or best.cost < finding.own.cost - BETTER
+        if better and acceptance.accepts(best, finding.family):
             return [best.cause if cause == finding.cause else cause for cause in trial.causes]
     return list(trial.causes)
 
