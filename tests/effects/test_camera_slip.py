@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from calflow.diagnosis.screening import Catalogue
 from calflow.effects.camera_slip import CameraSlip, TargetSlip
-from calflow.measurements.measurements import Measurements
+from calflow.measurements.measurements import Measurements, combined
 from conftest import in_process
 from observations.photographed import IN_HAND, ON_TABLE, UR5E, Arm, Photographs, board, frame, photographed
 from observations.test_camera import study
@@ -79,7 +79,23 @@ def test_one_of_two_cameras_that_slipped_is_found(tmp_path):
     assert_slipped(tmp_path, replace(made, rows=rows), "camera-slip", "the image of pose 20, camera right")
 
 
-def test_a_slip_is_of_one_series_and_between_images(tmp_path):
+def test_a_slip_is_of_one_of_several_series(tmp_path):
+    """Fails if no slip is looked for where each camera is a series of its own, or it moves the images of another one."""
+    data = study(tmp_path, slipped(6), "ur5e", True).measurements()
+    halves = [(data.table["pose"].astype(int) % 2 == odd).to_numpy() for odd in (0, 1)]
+    parts = [
+        replace(data.only(rows), series=(replace(data.series[0], name=name),))
+        for rows, name in zip(halves, "ab", strict=True)
+    ]
+    both = combined(parts)
+    variants = CameraSlip.variants(data.robot, both)
+    assert {one.of for one in variants} == {"a", "b"}
+    numbers = both.table.groupby(both.device)["camera_number"].unique()
+    assert numbers.map(len).tolist() == [1, 1]
+    assert numbers["a"][0] != numbers["b"][0]
+
+
+def test_a_slip_is_of_one_camera_and_between_images(tmp_path):
     """Fails if a moment parts the points of an image, or it is looked for where nothing says which camera a row is of."""
     made = slipped(6)
     data = study(tmp_path, made, "ur5e", True).measurements()

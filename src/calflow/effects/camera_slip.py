@@ -34,7 +34,7 @@ class CameraSlip(StepChange):
 
     @classmethod
     def unfit(cls, robot: Robot, data: Measurements) -> str:
-        """Return what is missing where the images are of several series."""
+        """Return what is missing where no column tells several cameras (or targets) apart."""
         return "" if f"{cls.slipping}_number" in data.given else several_imaged(data, cls.slipping)
 
     @classmethod
@@ -43,9 +43,9 @@ class CameraSlip(StepChange):
         if f"{cls.slipping}_number" not in data.given:
             return super().variants(robot, data)
         found: list[Self] = []
-        for name in data.table[cls.slipping].unique():
-            its = data.only((data.table[cls.slipping] == name).to_numpy())
-            found += [replace(each, of=name) for each in super().variants(robot, its)]
+        names = data.imaged(cls.slipping)
+        for name in dict.fromkeys(names):
+            found += [replace(each, of=name) for each in super().variants(robot, data.only(names == name))]
         return tuple(found)
 
     def finer(self, data: Measurements) -> tuple[Self, ...]:
@@ -75,7 +75,7 @@ class CameraSlip(StepChange):
 
     def _shown(self, data: Measurements) -> np.ndarray:
         """Return the mask of the rows of its camera (or target), (n_rows,)."""
-        return np.array(data.table[self.slipping] == self.of if self.of else np.ones(len(data), dtype=bool))
+        return data.imaged(self.slipping) == self.of if self.of else np.ones(len(data), dtype=bool)
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the shift and the rotation."""

@@ -41,7 +41,10 @@ class ToolSag(Effect):
         "symmetric": "by direction",
         "any": "by direction, one across another",
     }
-    words = Words("sag of the tool", "the flange, the tool or a marker's mount sags under its own weight")
+    words = Words(
+        "sag of the tool",
+        "the flange, the tool or a marker's mount sags under its own weight, or is loose and rests on its lower side",
+    )
     whole = TOOL
     family = OF_THE_TOOL
     told_by = "put a marker on the flange beside those on the tool, and measure under two payloads"

@@ -220,6 +220,12 @@ class Measurements:
         """Name of each row's device, shape (n_rows,)."""
         return np.array([series.device for series in self.series], dtype=object)[self.series_number]
 
+    def imaged(self, label: str) -> np.ndarray:
+        """Name of each row's camera, or target, (n_rows,): its label, after its device where there are several."""
+        names = self.table[label].astype(str) if label in self.table else pd.Series("", self.table.index)
+        devices = self.device if len(self.series) > 1 else np.full(len(self), "")
+        return np.array([" ".join(filter(None, pair)) for pair in zip(devices, names, strict=True)], dtype=object)
+
     @property
     def sigma(self) -> np.ndarray | None:
         """Standard deviation of each row's position, per axis, shape (n_rows,) [m]; None if unknown."""
@@ -354,19 +360,25 @@ def combined(parts: Sequence[Measurements]) -> Measurements:
     tables = [_rows_of_series(k, part.stating((*shared, *DERIVED)), origin, split) for k, part in enumerate(parts)]
     whole = pd.concat(_with_unique_names(tables, numbered("q", first.robot.n_joints)), ignore_index=True)
     labels = {name for part in parts for name in part.series[0].labels}
-    numbered_too = [name for name in NUMBERED if name in whole]
-    whole[numbered_too] = whole[numbered_too].fillna(0.0)
     for label in {"session", *labels, *whole.select_dtypes(["object", "string"])}:
         if label in whole:
             whole[label] = whole[label].fillna("")
     whole["order"] = whole["time"].rank(method="dense") if origin is not None else np.arange(1.0, len(whole) + 1)
     # A series of points beside one of full poses has columns of orientations too, all empty: its kind is told here.
     series = tuple(replace(part.series[0], kind=part.series[0].kind_in(part.table)) for part in parts)
-    return replace(
+    made = replace(
         first, table=whole, notes=tuple(dict.fromkeys(_notes(parts, shared, split))), time_origin=origin,
         series=series, units=tuple(sorted({unit for part in parts for unit in part.units})),
         payload_stated=any(part.payload_stated for part in parts),
     )  # fmt: skip
+    return _numbered(made)
+
+
+def _numbered(data: Measurements) -> Measurements:
+    """Return the rows with the numbers of camera and target where all are of images and there are several."""
+    names = {number: data.imaged(label) for number, label in NUMBERED.items()} if data.in_images else {}
+    numbers = {number: [*map(name_number, each)] for number, each in names.items() if len(set(each)) > 1}
+    return replace(data, table=data.table.drop(columns=[*NUMBERED], errors="ignore").assign(**numbers))
 
 
 def _notes(parts: Sequence[Measurements], shared: Sequence[str], split: bool) -> Iterator[str]:
@@ -394,7 +406,7 @@ def continued(parts: Sequence[Measurements]) -> Measurements:
     if len(parts) == 1:
         return parts[0]
     whole = combined(parts)
-    return replace(whole, table=whole.table.drop(columns="series"), series=parts[0].series)
+    return _numbered(replace(whole, table=whole.table.drop(columns="series"), series=parts[0].series))
 
 
 def _with_unique_names(tables: Sequence[pd.DataFrame], readings: list[str]) -> list[pd.DataFrame]:

@@ -349,7 +349,7 @@ def ordered(table: pd.DataFrame, robot: Robot, in_order: bool) -> tuple[pd.DataF
     If the file has approach columns they stay unchanged, and no travel is added.
     """
     table = table.copy()
-    for name, label in zip(NUMBERED, ("camera", "target"), strict=True):
+    for name, label in NUMBERED.items():
         if label in table and table[label].nunique() > 1:
             table[name] = table[label].astype(str).map(name_number)
     table["order"] = table["time"].rank(method="dense") if "time" in table else np.arange(1.0, len(table) + 1)

@@ -24,7 +24,7 @@ from calflow.robot.robot import Robot
 Parts = TypeVar("Parts", bound=Any)
 At = TypeVar("At", ca.SX, "FrameChain")
 BY_JOINT = ("approach", "travel", "torque", "speed", "acceleration")
-NUMBERED = ("camera_number", "target_number")
+NUMBERED = {"camera_number": "camera", "target_number": "target"}  # the label that each is the number of
 OPTIONAL = (
     "approach", "travel", "wrench", "torque", "time", "temperature", "order", "range", "session", "speed", "acceleration",
     *NUMBERED,
