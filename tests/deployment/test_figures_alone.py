@@ -154,3 +154,22 @@ def test_what_the_device_does_is_not_the_robots():
     assert levels.by("zeros and tool").mean == pytest.approx(
         unmoved.by("zeros and tool").mean, rel=0.2
     )  # what lengths miss tilts the frames, too
+
+
+def test_rows_that_may_be_before_a_step_judge_no_level():
+    """Fails if held-out rows, of which no fitted one tells whether the device had moved, count as what commands miss by."""
+    robot = industrial()
+    model = build(robot, ("geometry",))
+    rng = np.random.default_rng(5)
+    truth = model.nominal + 0.3 * model.prior_sd * rng.standard_normal(len(model.nominal))
+    data = measured(model, truth, 120, rng, sigma=SIGMA)
+    row = np.arange(len(data))
+    aside = (row % 5 == 0) | ((row >= 55) & (row < 75))
+    table = data.table.assign(
+        split=np.where(aside, "holdout", "train"), order=row + 1.0, x=data.table.x + 2e-3 * (row >= 70)
+    )
+    found = cf.identify(robot, replace(data, table=table), ["geometry"], starts=1).diagnose(catalogue=["frame-step"])
+    assert [finding.cause for finding in found.findings] == ["frame-step"]
+    judged = [row for row in found.accuracy if row.split == "holdout"][-1]
+    assert found.levels.by("commands").mean == pytest.approx(judged.mean_mm)
+    assert found.levels.by("commands").mean < 3e3 * SIGMA

@@ -202,10 +202,12 @@ def _judged(
 ) -> tuple[EffortLevel, ...]:
     """Return the levels judged on held-out rows, or else on fitted ones, from models with their parameters.
 
-    A level's predicted error combines its distance from the calibrated model with that model's own uncertainty.
+    Held-out rows of which the fit cannot tell whether they are before a step are left out, as where the model is judged. A level's
+    predicted error combines its distance from the calibrated model with that model's own uncertainty.
     """
-    held = bool(data.held_out.any())
-    rows = data.only(data.held_out if held else data.train)
+    told = data.held_out & ~calibrated.model.undecided(data)
+    held = bool(told.any())
+    rows = data.only(told if held else data.train)
     unit = judged_unit(leading_units(rows))
     variance = calibrated.promised_variance(rows, unit).sum(axis=1)
     off = {level: errors(model, estimate, rows) for level, (model, estimate) in models.items()}
