@@ -47,6 +47,14 @@ def test_the_block_is_the_one_that_spoils_the_zero(measured, joint, begin, end, 
     np.testing.assert_allclose(after.joints, measured.joints, atol=1e-9)
 
 
+def test_a_zero_that_changed_by_nearly_a_turn_is_none(measured):
+    """Fails if a wrist's zero set anew by nine tenths of a turn is taken for a turn, which leaves a tenth of it in all rows."""
+    data, turn = measured.table.copy(), 2 * np.pi / measured.robot.joints[4].gear_ratio
+    data.loc[25:, "q5"] += 0.9 * turn
+    (found,) = examined(Measurements(measured.robot, data, measured.notes))[1]
+    assert (found.cause, found.joint) == ("zero-changed", 5)
+
+
 def test_where_the_base_makes_up_for_the_zero_it_is_the_smaller_block(measured):
     """Fails if joint 1, whose zero a base that nobody knows hides, is turned in the larger part."""
     (found,) = examined(turned(measured, 1, 40, 60))[1]

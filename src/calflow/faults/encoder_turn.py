@@ -26,6 +26,10 @@ DECISIVE = 9.0  # difference of the deviations from nominal that decides between
 CHANGE = 8.0  # cost of the begin or end of a block: that of an error of 150 robust standard deviations
 # Least share of a block's rows that must be far better with the turn corrected, and of the others without.
 MIN_IMPROVED_SHARE = 0.8
+EXACT, CERTAIN = (
+    0.02,
+    4.0,
+)  # share of a turn, and standard deviations, that a step may differ from one: true turns do by 0.004
 
 
 @dataclass(frozen=True)
@@ -127,7 +131,7 @@ def _motor(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
 def _refined(data: Measurements, reference: Reference, block: TurnedBlock) -> tuple[float, TurnedBlock] | None:
     """Return the deviation from nominal of a robot fitted with the block corrected, and the block refined by it.
 
-    None if the turn does not explain the rows: a zero changed by nearly a turn leaves errors too large for a robot.
+    None if the turn does not explain the rows: a zero changed by nearly a turn leaves errors too large for a robot, or a step.
     """
     pose = data.table["pose"].to_numpy()
     for _ in range(REFINED):
@@ -148,7 +152,20 @@ def _refined(data: Measurements, reference: Reference, block: TurnedBlock) -> tu
         settled, block = np.array_equal(needed, block.rows), replace(block, rows=needed)
         if settled:
             break
-    return (fit.deviation, block) if fit.scale < SUSPECT_SCALE else None
+    return None if fit.scale >= SUSPECT_SCALE or _leaves_a_step(data, fit, block) else (fit.deviation, block)
+
+
+def _leaves_a_step(data: Measurements, fit: RobustFit, block: TurnedBlock) -> bool:
+    """Whether the joint still differs between the block, with the turn corrected, and the other rows: no turn is a part of one."""
+    moved = fit.moved(data.conditions, block.joint, block.step)
+    error = data.position - fit.predicted(data.conditions) - moved * block.rows[:, None]
+    size = np.maximum(lengths(moved), TINY)
+    of_turn = np.nan_to_num((error * moved).sum(axis=1) / size**2)
+    # Regression of least absolute deviations: rows may have errors of their own.
+    sides = (block.rows, ~block.rows)
+    inside, outside = (np.quantile(of_turn[side], 0.5, weights=size[side], method="inverted_cdf") for side in sides)
+    sd = fit.scale * np.sqrt(sum(1 / (size[side] ** 2).sum() for side in sides))
+    return bool(abs(inside - outside) > max(EXACT, CERTAIN * sd))
 
 
 def _fault(data: Measurements, block: TurnedBlock, what: str, why: str) -> Fault:
