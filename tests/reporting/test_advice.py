@@ -623,12 +623,12 @@ def test_held_out_poses_that_contradict_what_new_ones_let_expect_are_told_beside
 def test_headline_says_where_the_error_was_measured() -> None:
     """Fails if fitted poses pass for others, or an error without what the device adds for the measured one beside it."""
 
-    def of(split: str, *figures: tuple[float, float], alone: float | None = None) -> str:
+    def of(split: str, *figures: tuple[float, float], alone: float | None = None, largest: float = 42.64) -> str:
         steps = [
             Accuracy(model=str(k), step=k, split=split, n=4, mean_mm=mean, rms_mm=mean, max_mm=most)  # type: ignore[arg-type]
             for k, (mean, most) in enumerate(figures)
         ]
-        told = {"level": "nothing", "split": split, "unit": "mm", "rms": 1.0, "max": 1.0, "promised": 1.0}
+        told = {"level": "nothing", "split": split, "unit": "mm", "rms": 1.0, "max": largest, "promised": 1.0}
         levels = to_frame([EffortLevel(mean=alone, **told)] if alone else [], EffortLevel)  # type: ignore[arg-type]
         return headline(
             results(
@@ -647,6 +647,7 @@ def test_headline_says_where_the_error_was_measured() -> None:
         "holdout", before, after, alone=12.5
     )
     assert "device" not in of("holdout", before, after, alone=30.4)
+    assert "(30.46 mm with what the measuring device adds)" in of("holdout", before, after, alone=30.4, largest=41.0)
 
 
 def test_a_contradicted_noise_is_the_first_thing_said() -> None:

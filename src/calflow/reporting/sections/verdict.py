@@ -254,10 +254,9 @@ def headline(outcome: RunOutcome) -> str:
     seen, unit = "that no fit has seen" if steps[0].split == "holdout" else FITTED, steps[0].unit
     if len(steps) == 1:
         return f"At poses {seen}, the nominal robot is off by {mm(before)} {unit} on average."
-    verb, whole = "reduces" if now < before else "increases", steps[0].figures[0]
-    device = (
-        f" ({mm(whole)} {unit} with what the measuring device adds)" if abs(whole - before) > DEVICE * whole else ""
-    )
+    verb, (whole, _, most) = "reduces" if now < before else "increases", steps[0].figures
+    apart = abs(whole - before) > DEVICE * whole or abs(most - most_before) > DEVICE * most
+    device = f" ({mm(whole)} {unit} with what the measuring device adds)" if apart else ""
     return (
         f"At poses {seen}, calibration {verb} the error from {mm(before)} {unit}{device} to {mm(now)} {unit} "
         f"on average, and the largest from {mm(most_before)} {unit} to {mm(most_now)} {unit}."
