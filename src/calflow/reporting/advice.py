@@ -455,7 +455,7 @@ def place_assumed(outcome: RunOutcome) -> Iterator[Advice]:
         assumed = row.effect == Geometry.id and not row.joint and row.unit == "m" and row.prior_share > BY_PRIOR
         if assumed and 1e3 * row.sd > BY_PRIOR * promised:
             sentence = (
-                f"No measurement tells {meant(row)}, and it counts as known to {mm(1e3 * row.sd)} mm only: that is most of the "
+                f"No measurement tells {meant(row)}, and it counts as known to {mm(1e3 * row.sd)} mm only. That is most of the "
                 f"{mm(promised)} mm to expect of the tool in the measuring frame. State it better, or the place of what it was "
                 "measured from."
             )
