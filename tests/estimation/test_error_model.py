@@ -30,13 +30,13 @@ from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.model_tables import FUNCTIONS
 from calflow.estimation.needed_conditions import needed_conditions
 from calflow.estimation.noise import PerUnit
-from calflow.estimation.smooth_functions import InPlace, JointField, Shift, is_mean
+from calflow.estimation.smooth_functions import AlongSlides, InPlace, JointField, Shift, is_mean
 from calflow.files.problems import InputError
 from calflow.files.units import METRE
 from calflow.model import build
 from calflow.robot.parts import Expected
 from estimation.data import POSES, SIGMA, measured, stated, variance, wavering
-from robots import industrial
+from robots import industrial, robot
 
 
 def continued(errors, result, data):
@@ -389,3 +389,28 @@ def test_whose_error_depends_on_an_angle_is_told():
     zeros = dict(zip([p.name for p in result.model.parameters], np.sqrt(np.diag(result.covariance)), strict=True))
     assert mean.of == mean.erring == (1,)
     assert zeros["joint2.theta"] > 0.9 * size > 1.5 * zeros["joint3.theta"]
+
+
+def test_a_tilt_of_a_slide_is_as_unsure_as_a_slope_of_errors_along_it():
+    """Fails if a joint that errs along a slide's travel leaves the tilt of the slide's axis, which moves the tool alike, for sure.
+
+    The straight line moves the slide's end, at half the travel, by its size times a of joint 3, and so does a tilt. The longest
+    wave, half a turn over the travel, is nearly such a line and as large: both together make the tilt unsure by root two of that.
+    """
+    links = {"alpha_deg": (0, 0, 0, 0), "a_m": (0, 0.45, 0.4, 0), "d_m": (0.42, 0, 0, 0.05)}
+    joints = [{name: values[i] for name, values in links.items()} for i in range(4)]
+    joints[2] |= {"kind": "prismatic", "limits_m": [-0.35, 0.0]}
+    scara = robot("modified-dh", joints, markers={"E": {"point_m": [0.0, 0.0, -0.05]}})
+    model = build(scara, ("geometry",))
+    data = measured(model, model.nominal, POSES, np.random.default_rng(3))
+    model, turned = build(scara, ("geometry",), data.given), data.conditions.copy()
+    turned[1] += 3e-4 * np.cos(2 * np.pi * turned[2] / 0.35)
+    moved = model.position(model.nominal, turned) - model.position(model.nominal, data.conditions)
+    data.table[["x", "y", "z"]] += moved
+    _, result, errors = fitted(data)
+    of_amplitude = [function for function in errors.functions for _ in function.declared]
+    every = zip(of_amplitude, errors.sd, strict=True)
+    sizes = [sd for function, sd in every if isinstance(function, AlongSlides) and 1 in function.erring]
+    sds = np.sqrt(np.diag(errors.about_mean(result.covariance)))
+    tilts = dict(zip([p.name for p in result.model.parameters], sds, strict=True))
+    assert tilts["joint3.alpha"] > np.sqrt(2) * max(sizes) * 0.4 / (0.35 / 2)

@@ -337,7 +337,7 @@ class SmoothVariances:
 
     result: the fit to rows with independent errors; data: these rows; known: whether the device's noise is known independently of
     the fit; kinds: inputs and functions of each part; equations: those of parameters and functions, of a representative subset of
-    the rows. Means, which a zero imitates, are not used to estimate a part's variance.
+    the rows. Means and slopes, which geometry imitates, are not used to estimate a part's variance.
     """
 
     result: Fit

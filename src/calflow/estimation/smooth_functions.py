@@ -133,6 +133,29 @@ class JointField(JointError, OfJoints):
 
 
 @dataclass(frozen=True)
+class AlongSlides(JointField):
+    """Errors of some joints' angles in proportion to the travel of each slide on which they depend."""
+
+    orders: int = 0
+
+    @property
+    def _sizes(self) -> np.ndarray:
+        """Equal relative standard deviations."""
+        return np.ones(len(self.slides))
+
+    @property
+    def slides(self) -> tuple[int, ...]:
+        """The slides among the joints on which it depends."""
+        return tuple(i for i in self.of if self.robot.joints[i].kind == "prismatic")
+
+    def waves(self, q: ca.SX) -> ca.SX:
+        """Return lines (n,) from -1 to 1 over the travels."""
+        low, high = self.robot.limits.T
+        half = np.maximum(high - low, TINY) / 2
+        return ca.vertcat(*((q[i] - float(low[i])) / float(half[i]) - 1 for i in self.slides))
+
+
+@dataclass(frozen=True)
 class Shift(OfJoints):
     """A shift of the reported point as such a function."""
 
@@ -371,12 +394,14 @@ def smooth_functions(problem: LeastSquares, estimate: np.ndarray, data: Measurem
 
 
 def means(functions: Sequence[SmoothFunction]) -> list[SmoothFunction]:
-    """Return the means of functions that are errors of joints, to which a joint's zero is equivalent."""
-    return [replace(of, orders=0) for of in functions if isinstance(of, JointField)]
+    """Return means of functions that are errors of joints, which a zero imitates, and slopes along slides, which a tilt does."""
+    fields = [of for of in functions if isinstance(of, JointField)]
+    lines = [AlongSlides(of.robot, of.of, erring=of.erring) for of in fields]
+    return [*(replace(of, orders=0) for of in fields), *(line for line in lines if line.slides)]
 
 
 def is_mean(function: SmoothFunction) -> bool:
-    """Whether a function is such a mean."""
+    """Whether a function is such a mean or slope."""
     return isinstance(function, OfJoints) and not function.orders
 
 
