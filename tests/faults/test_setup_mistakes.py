@@ -113,6 +113,22 @@ def test_columns_exchanged_are_told_beside_the_limits_that_are_passed_so():
     assert "joint 5: in lines" in str(told.value)
 
 
+@pytest.mark.skipif("CALFLOW_DATA" not in os.environ, reason="CALFLOW_DATA does not name the folder with measured data")
+@pytest.mark.parametrize(("study", "typed"), [("ur10-tmac", 0.0127 / 0.6127), ("fanuc-r2000", 1 / 25.4)])
+def test_a_length_of_a_real_robot_is_told_however_wrong(study, typed):
+    """Fails if a fit from the typed figure ends far from the right one, or repeats of few poses count as few poses."""
+    data = load_study(STUDIES / study).measurements()
+    right = data.robot.frames[1].figures["a"]
+    try:
+        (fault,) = examined(with_figure(data, 2, a=right * typed))[1]
+        told = fault.statement
+    except InputError as refused:
+        told = str(refused)
+    assert "a of joint 2 is mistyped" in told
+    assert f"expected about a_mm = {1e3 * right:.0f}" in told
+    assert "(2)" not in told
+
+
 def test_a_wide_study_changes_nothing(measured):
     """Fails if limits that a study sets let a wrong robot explain the positions."""
     wide = tuple(

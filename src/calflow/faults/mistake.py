@@ -11,7 +11,7 @@ import numpy as np
 
 from calflow.effects.misstated_payload import PayloadMass
 from calflow.faults.base import AXES, EXCHANGED, MEASUREMENT_FILE, POSITION, ROBOT_FILE, Correction
-from calflow.faults.rough import PLACED_SD, motion
+from calflow.faults.rough import PLACED_SD, level, motion
 from calflow.faults.setup import STATED_SD, FittedSetup, Setup
 from calflow.files.deferred import Rotation
 from calflow.files.words import listed, rounded
@@ -29,6 +29,7 @@ MIN_TWIST = 0.1  # rad: least twist whose sign matters
 RADIANS = 0.12  # rad: largest angle that may be radians read as degrees
 DIFFERENT = 1e-3  # m: least difference of exchanged lengths
 TYPO = 0.01  # m: tolerance between an estimate and the value without a typing error
+TRIED = 25  # values of a dimension from which its fit may begin
 MOST_ROTATION = 2.5  # rad: beyond it the axis of a relative rotation is ambiguous
 
 Undo = Callable[[Setup], Setup]
@@ -397,7 +398,14 @@ class LinkDimensions:
         """Yield lengths and zeros with an arbitrary value."""
         for k in (*self.lengths, *self.turns):
             joint, log_prior = self.parameters[k].joint, LOG_ODDS + ARBITRARY
-            yield Mistake("figure-mistyped", joint, _freed(k), self._mistyped(k), log_prior)
+            yield Mistake("figure-mistyped", joint, _freed_from(k, self._changes(k)), self._mistyped(k), log_prior)
+
+    def _changes(self, k: int) -> np.ndarray:
+        """Return changes of a dimension (n,) [m or rad], one of which brings a wrong one near its right value."""
+        if self.parameters[k].unit != "m":
+            return np.linspace(-np.pi, np.pi, TRIED)
+        reach = float(np.ptp(self.setup.position, axis=0).max())
+        return np.append(np.linspace(-reach, reach, TRIED) - self.parameters[k].figure, 0.0)
 
     def _mistyped(self, k: int) -> Callable[[FittedSetup], str]:
         def words(explanation: FittedSetup) -> str:
@@ -454,6 +462,20 @@ def _changed(changes: dict[int, float]) -> Undo:
 
 def _freed(*figures: int) -> Undo:
     return lambda setup: setup.freed(*figures)
+
+
+def _freed_from(figure: int, changes: np.ndarray) -> Undo:
+    """Return the function that frees a dimension from that of some changes (n,) with which a rigid motion fits best.
+
+    Far from its right value the base of best fit lies elsewhere, and the fit ends in a minimum of its own.
+    """
+
+    def undo(setup: Setup) -> Setup:
+        tried = [setup.with_dimensions({figure: float(change)}) for change in changes]
+        left = level(motion(np.stack([each.points() for each in tried]), setup.position)[2])
+        return tried[int(left.argmin())].freed(figure)
+
+    return undo
 
 
 def _mm(point: np.ndarray) -> str:

@@ -21,7 +21,7 @@ from calflow.effects.geometry import DimensionError, Geometry
 from calflow.effects.misstated_payload import PayloadMass
 from calflow.estimation.registration import marker_places, marker_shifts, with_markers
 from calflow.faults.rough import PLACED_SD, WIDTH, Prior, RobustFit, lengths, level, motion, robust_fit
-from calflow.files.deferred import Rotation
+from calflow.files.deferred import Rotation, pd
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 from calflow.robot.frames import FrameOrigin, rpy_of, vector
@@ -102,13 +102,12 @@ class Setup:
 
     def at(self, data: Measurements, rows: np.ndarray) -> Setup:
         """Return the set-up with given rows (n_rows,) of data."""
-        independent = round(self.independent * len(rows) / len(self.numbers))
         return replace(
             self,
             conditions=data.conditions[:, rows],
             position=data.position[rows],
             numbers=rows,
-            independent=independent,
+            independent=int(_markers_seen(data.table.iloc[rows]).clip(upper=2).sum()),
         )
 
     def differs_from(self, other: Setup) -> np.ndarray:
@@ -252,8 +251,13 @@ def _training_rows(data: Measurements) -> tuple[np.ndarray, np.ndarray, np.ndarr
     chosen = np.zeros(len(data), dtype=bool)
     chosen[np.random.default_rng(0).permutation(np.flatnonzero(data.train))[:ROWS]] = True
     few = data.only(chosen)
-    markers = few.table.groupby("pose")["marker"].nunique()
+    markers = _markers_seen(few.table)
     return few.conditions, few.position, np.flatnonzero(chosen), len(markers), int(markers.clip(upper=2).sum())
+
+
+def _markers_seen(rows: pd.DataFrame) -> pd.Series:
+    """Return the number of markers seen at each pose."""
+    return rows.groupby("pose")["marker"].nunique()
 
 
 @dataclass(frozen=True)
