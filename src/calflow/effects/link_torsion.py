@@ -8,6 +8,7 @@ import casadi as ca
 
 from calflow.effects.base import Variable, Words
 from calflow.effects.beam import Beam, ElasticLink
+from calflow.robot.mechanism import Row, State
 
 
 @dataclass(frozen=True)
@@ -27,5 +28,8 @@ class LinkTorsion(ElasticLink):
     def variable(self, joint: int) -> Variable:
         """Return the moment about the link's line, to either side."""
         beam = self.beam(joint)
-        about = lambda state, row: ca.fabs(ca.dot(beam.line, beam.load(state)[1]))  # noqa: E731
+
+        def about(state: State, row: Row) -> ca.SX:
+            return ca.fabs(ca.dot(beam.line, beam.load(state)[1]))
+
         return Variable(f"moment about the line of link {joint}", "Nm", about)
