@@ -120,10 +120,11 @@ def test_what_another_device_reports_is_left_to_the_study(folder, columns, kind)
     assert f'kind = "{kind}"' in answer.err
 
 
-def test_lettered_joints_are_told_by_their_names(folder):
-    """Fails if joints that are lettered have to be stated one by one, or their letter is taken for a unit."""
+@pytest.mark.parametrize("letters", [[f"Gelenk {letter}" for letter in "ABCDEF"], [*"SLURBT"]])
+def test_lettered_joints_are_told_by_their_names(folder, letters):
+    """Fails if joints that are lettered have to be stated one by one, or their letter is taken for a unit or a time."""
     of = campaign(cf.Robot.from_toml(folder / "robot.toml"), 2)
-    names = ",".join((*(f"Gelenk {letter}" for letter in "ABCDEF"), "X", "Y", "Z"))
+    names = ",".join((*letters, "X", "Y", "Z"))
     (folder / "theirs.csv").write_text(table(of, names, np.rad2deg(of.q), 1e3 * of.points))
     answer = in_process("import", folder / "theirs.csv", "--into", folder)
     assert (answer.code, answer.out.count("its name")) == (0, 9), answer.err

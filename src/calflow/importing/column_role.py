@@ -24,6 +24,7 @@ JOINT_WORDS = {"q", "j", "a", "joint", "joints", "axis", "achse", "gelenk", "the
                "angle", "angles"}  # fmt: skip
 _QUALIFIER = "|".join(sorted(PLANNED | ACTUAL | DEVIATIONS))
 AXIS = re.compile(rf"(?P<before>p|t|pos|{_QUALIFIER})?(?P<axis>[xyz])(?P<after>{_QUALIFIER})?(?P<number>\d*)")
+YASKAWA = "sleurbt"  # its axes' names, in order; only arms of seven have an E
 LETTERS = ("a", "b", "c", "d", "e", "f", "g")  # letters by which some files name the joints
 POSE_WORDS = {"pose", "point", "punkt", "position", "pos", "nr", "no", "number", "nummer", "id", "index", "idx", "messpunkt",
               "target", "p", "pt", "name", "label", "image", "config", "configuration", "sample"}  # fmt: skip
@@ -56,6 +57,7 @@ def roles(table: ForeignTable, robot: Robot | None) -> Roles:
     labels: dict[str, int] = {}
     external: dict[int, int] = {}
     time = temperature = None
+    lettered = _lettered(table)
     for k, column in enumerate(table.columns):
         words = name_words(column.name)
         if not column.is_figures:
@@ -64,6 +66,8 @@ def roles(table: ForeignTable, robot: Robot | None) -> Roles:
             continue
         if axis := _external(words, robot):
             external[axis] = k
+        elif (letter := _beside_joint(words)) in lettered:
+            joints.setdefault(("joint",), {}).setdefault(lettered.index(letter) + 1, k)
         elif (joint := _joint(column, words, robot)) and not DEVIATIONS & {*joint[0]}:
             joints.setdefault(joint[0], {}).setdefault(joint[1], k)
         elif turn := _turn(words):
@@ -108,6 +112,18 @@ def _joint(column: ForeignColumn, words: Sequence[str], robot: Robot | None) -> 
         if word in LETTERS and k and words[k - 1] in ("joint", "axis", "achse", "gelenk"):
             return ("joint", *words[: k - 1], *words[k + 1 :]), LETTERS.index(word) + 1
     return None
+
+
+def _lettered(table: ForeignTable) -> list[str]:
+    """The letters that are the joints' names, in order: those of Yaskawa where each has a column."""
+    names = {_beside_joint(name_words(column.name)) for column in table.columns}
+    return [letter for letter in YASKAWA if letter in names] if names.issuperset(YASKAWA.replace("e", "")) else []
+
+
+def _beside_joint(words: Sequence[str]) -> str:
+    """The only word of a name beside that it is a joint's; empty if there is none, or another."""
+    others = [word for word in words if word not in JOINT_WORDS]
+    return others[0] if len(others) == 1 else ""
 
 
 def _counted_from_0(members: Mapping[int, int]) -> dict[int, int]:
