@@ -77,3 +77,12 @@ def test_the_figures_of_a_text_are_found(tmp_path):
     assert [one.title for one in table.columns] == ["Nr", "a [mm]", "b [mm]", "c [deg]"]
     assert table.columns[1].figures.tolist() == [k + 0.5 for k in range(1, 9)]
     assert "2 lines without figures left out (line 9 …)" in table.reasons
+
+
+@pytest.mark.parametrize(("header", "names"), [("#;a;b;c", ["#", "a", "b", "c"]), ("# n;a;b;c", ["n", "a", "b", "c"])])
+def test_a_number_sign_is_a_name_where_it_stands_alone(tmp_path, header, names):
+    """Fails if the column of numbers loses its name as a comment's mark, or keeps that mark."""
+    rows = [f"{k};{k}.5;{k}.25;{k}.75" for k in range(1, 9)]
+    (tmp_path / "a.csv").write_text("\n".join([header, *rows, ""]), encoding="utf-8")
+    (table,) = foreign_tables(tmp_path / "a.csv")
+    assert [one.name for one in table.columns] == names

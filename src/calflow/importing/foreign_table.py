@@ -230,7 +230,7 @@ def _uncommented(header: list[str], line: Sequence[str]) -> list[str]:
     if not header[0].startswith(("#", "%", "//")):
         return header
     bare = " ".join(line).lstrip("#%/ ").split()
-    return bare if len(bare) == len(header) else [header[0].lstrip("#%/ "), *header[1:]]
+    return bare if len(bare) == len(header) else [header[0].lstrip("#%/ ") or header[0], *header[1:]]
 
 
 def _all_units(cells: Sequence[str]) -> bool:
