@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ import robots
 from calflow.effects.beam import Beam, beams
 from calflow.effects.link_bending import LinkBending
 from calflow.model import Model, build, over_rows
+from calflow.robot.mechanism import State
 from hidden.causes import Hidden
 from hidden.test_hidden import case, found, only
 
@@ -20,25 +23,50 @@ ALIKE = only(
 FORCE, MOMENT = np.array([120.0, -300.0, 500.0]), np.array([80.0, 150.0, -60.0])
 
 
-def summed(span: np.ndarray, soft: np.ndarray, parts: int = 2000) -> np.ndarray:
-    """A beam's end (6,) from many short pieces, each turned by the moment that it carries."""
+WEIGHT = np.array([300.0, -900.0, -2500.0])
+
+
+def summed(span: np.ndarray, soft: np.ndarray, aside: np.ndarray, parts: int = 2000) -> np.ndarray:
+    """A uniform beam's end (6,) from many short pieces, each turned by the moment that it carries.
+
+    Every piece weighs as much as the next, and its centre is aside of the line.
+    """
     shift, turn = np.zeros(3), np.zeros(3)
     for k in range(parts):
-        lever = (1 - (k + 0.5) / parts) * span
-        curved = np.linalg.norm(span) / parts * soft @ (MOMENT + np.cross(lever, FORCE))
+        rest = 1 - (k + 0.5) / parts
+        lever = rest * span
+        own = np.cross(lever / 2 + aside, rest * WEIGHT)
+        curved = np.linalg.norm(span) / parts * soft @ (MOMENT + np.cross(lever, FORCE) + own)
         turn, shift = turn + curved, shift + np.cross(curved, lever)
     return np.concatenate([shift, turn])
 
 
 def test_an_oblique_beam_is_the_sum_of_its_pieces() -> None:
-    """Breaks if force and moment at the end do not add up along the beam, or its section has axes of its own choice only."""
-    span = np.array([0.9, -0.2, 0.4])
+    """Breaks if end loads and own weight do not add up along the beam, or its section has axes of its own choice only."""
+    span, aside = np.array([0.9, -0.2, 0.4]), np.array([0.02, 0.09, 0.0])
     root = np.random.default_rng(3).normal(size=(3, 3)) * 1e-4
     soft = root @ root.T
-    found = np.array(
-        ca.DM(Beam(1, ca.DM(span), ca.DM(3, 1)).bent(*(ca.SX(ca.DM(part)) for part in (soft, FORCE, MOMENT))))
-    )
-    assert_allclose(found.ravel(), summed(span, soft), rtol=1e-5)
+    axes = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
+    bearing, link = np.zeros((6, 2)), np.zeros((6, 3))
+    bearing[:3, 1], link[:, 2] = axes.T @ (FORCE + WEIGHT), np.concatenate([FORCE, MOMENT])
+    loads = replace(State.symbols(robots.industrial()), bearing=ca.SX(ca.DM(bearing)), link=ca.SX(ca.DM(link)))
+    beam = Beam(1, *(ca.DM(part) for part in (span, np.zeros(3), span / 2 + aside, axes)))
+    found = np.array(ca.DM(beam.twist(ca.SX(ca.DM(soft)), loads)))
+    assert_allclose(found.ravel(), summed(span, soft, aside), rtol=1e-5)
+
+
+@pytest.mark.parametrize(("at", "bends"), [(-0.5, 0.0), (0.0, 0.0), (1.0, 1.0), (1.6, 1.0)])
+def test_a_weight_beyond_an_end_of_the_beam_is_a_load_there_or_none(at: float, bends: float) -> None:
+    """Breaks if a counterweight behind the joint bends the link before it, or what lies beyond the far end has another lever."""
+    span = np.array([0.0, 0.0, 0.8])
+    soft = ca.SX(ca.DM(np.diag([1e-7, 1e-7, 2e-7])))
+    bearing, link = np.zeros((6, 2)), np.zeros((6, 3))
+    bearing[:3, 1] = WEIGHT
+    loads = replace(State.symbols(robots.industrial()), bearing=ca.SX(ca.DM(bearing)), link=ca.SX(ca.DM(link)))
+    centre = at * span + [0.1, 0.0, 0.0]
+    beam = Beam(1, *(ca.DM(part) for part in (span, np.zeros(3), centre, np.eye(3))))
+    carried = beam.bent(soft, ca.SX(ca.DM(WEIGHT)), ca.SX(ca.DM(np.cross(centre - span, WEIGHT))))
+    assert_allclose(np.array(ca.DM(beam.twist(soft, loads))), bends * np.array(ca.DM(carried)), rtol=1e-12)
 
 
 def test_an_oblique_link_that_is_round_bends_as_a_straight_one() -> None:
@@ -83,3 +111,14 @@ def test_a_link_that_bends_as_far_as_the_wrist_is_one_cause(size, bends, tmp_pat
     assert seen.causes.iloc[0]["cannot_tell_from"] == "", seen.causes
     assert seen.has("link-bending", link)
     assert seen.unexplained.empty, seen.unexplained
+
+
+@pytest.mark.parametrize("robot", ["hh800", "serial"])
+def test_a_link_that_bends_under_its_own_weight_is_one_cause(robot, tmp_path):
+    """Fails if what a link's own weight bends, which the simulator spreads evenly, is a wrong mass or an eccentric joint."""
+    weights = only(
+        "link-bending", "link-mass", "payload-mass", "gravity-compensator", "joint-eccentricity", "gear-ratio-error"
+    )
+    seen = found(tmp_path, case(robot, Hidden("link-bending", 2, 3e-7), settings=weights), 34)
+    assert list(seen.causes["cause"]) == ["link-bending"], seen.causes
+    assert seen.causes.iloc[0]["cannot_tell_from"] == "", seen.causes

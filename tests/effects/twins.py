@@ -105,6 +105,12 @@ def hysteresis(bench: Bench) -> Twin:
     return Twin(made(bench, hidden.cause, length=np.deg2rad(5)), {"joint2.h": hidden.size}, hidden, far, close=0.01)
 
 
+def bending(link: int, size: float) -> Callable[[Bench], Twin]:
+    """The simulator spreads a link's own weight evenly about its centre, calflow at the centre and the beam's ends."""
+    hidden = Hidden("link-bending", link, size)
+    return lambda bench: Twin(made(bench, hidden.cause), {f"link{link}.1/EI": size}, hidden, close=0.01)
+
+
 def bearing(joint: int, size: float) -> Callable[[Bench], Twin]:
     """A bearing that is softer about x than about y."""
     hidden = Hidden("bearing-compliance", joint, size, 0.3)
@@ -366,10 +372,10 @@ TWINS: dict[str, Callable[[Bench], Twin]] = {
     },
     **{f"bearing-compliance, joint {j}": bearing(j, c) for j, c in ((1, 1e-8), (2, 5e-8), (3, 5e-8), (5, 1e-7))},
     **{
-        f"link-{kind}, link {link}": one(f"link-{kind}", f"link{link}.1/{key}", Hidden(f"link-{kind}", link, size))
-        for kind, key, sizes in (("bending", "EI", (3e-9, 5e-8, 1e-7, 5e-8)), ("torsion", "GJ", (3e-8, 3e-7, 3e-7, 3e-7)))
-        for link, size in enumerate(sizes, start=1)
+        f"link-torsion, link {link}": one("link-torsion", f"link{link}.1/GJ", Hidden("link-torsion", link, size))
+        for link, size in enumerate((3e-8, 3e-7, 3e-7, 3e-7), start=1)
     },
+    **{f"link-bending, link {link}": bending(link, size) for link, size in enumerate((3e-9, 5e-8, 1e-7, 5e-8), start=1)},
     "bearing-compliance, beside its joint": bearing_beside,
     "axis-wobble": wobble,
     "base-compliance, alike": one("base-compliance", "base.c", Hidden("base-compliance", 0, 1e-8)),

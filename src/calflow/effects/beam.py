@@ -9,7 +9,18 @@ from functools import cached_property
 import casadi as ca
 
 from calflow.effects.base import STRUCTURE, Effect, Variable
-from calflow.robot.mechanism import Deflection, FrameChain, Row, State, nominal_dimensions, rated_torques, span, to_axis
+from calflow.robot.mechanism import (
+    Deflection,
+    FrameChain,
+    Row,
+    State,
+    along,
+    figures,
+    nominal_dimensions,
+    rated_torques,
+    span,
+    to_axis,
+)  # fmt: skip
 from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
 
@@ -22,12 +33,15 @@ PARALLEL = 1e-6  # m beside the next joint's axis, within which a link that ends
 class Beam:
     """A link (by index) as a beam: span (3,) [m] is the vector from its joint's axis to its far end.
 
-    That lies beyond (3,) [m] from where the next joint's axis is; both in the frame of the link's end there.
+    That lies beyond (3,) [m] from where the next joint's axis is, and its centre of mass (3,) [m] from its joint's axis; all in
+    the frame of the link's end at the next joint's axis, to which axes (3, 3) turns vectors of its joint's.
     """
 
     link: int
     span: ca.DM
     beyond: ca.DM
+    centre: ca.DM
+    axes: ca.DM
 
     @property
     def length(self) -> float:
@@ -43,6 +57,21 @@ class Beam:
         """Return force and moment (3,) at its far end."""
         force, moment = state.link[:3, self.link + 1], state.link[3:, self.link + 1]
         return force, moment - ca.cross(ca.SX(self.beyond), force)
+
+    def twist(self, soft: ca.SX, state: State) -> ca.SX:
+        """Return the twist (6,) of the link's end under what it carries there and under its own weight.
+
+        No file says how the weight is spread about its centre. Two thirds of it act there, and a third at the beam's ends as
+        the law of the lever shares it: exact for a uniform beam (Simpson's rule). What lies behind the joint bends nothing.
+        """
+        (force, moment), i = self.load(state), self.link
+        weight = self.axes @ state.bearing[:3, i] - state.link[:3, i + 1]  # its joint carries that as well
+        share = min(max(float(ca.dot(self.centre, self.line)) / self.length, 0.0), 1.0)
+        place = share * self.span
+        to_centre = replace(self, span=place, beyond=self.beyond - (self.span - place))
+        aside = ca.cross(ca.SX(self.centre - place), weight)
+        at_end = self.bent(soft, force + share / 3 * weight, moment + share / 3 * aside)
+        return at_end + 2 / 3 * to_centre.bent(soft, weight, aside)
 
     def bent(self, soft: ca.SX, force: ca.SX, moment: ca.SX) -> ca.SX:
         """Return the twist (6,) of the link's end under force and moment at the beam's (Euler-Bernoulli).
@@ -65,7 +94,10 @@ def beams(robot: Robot, offset: bool = False) -> tuple[Beam, ...]:
     dims, found = nominal_dimensions(robot), list[Beam]()
     for i in range(robot.n_joints):
         end = ca.evalf(span(robot, dims, i))
-        beam = Beam(i, end[:3, :3].T @ end[:3, 3], ca.DM(3, 1))
+        axes = end[:3, :3].T
+        link = along(FrameChain(), robot.frames[i].body, figures(robot, dims, i))
+        centre = ca.evalf(link.carried(ca.SX(ca.DM(robot.joints[i].com))))
+        beam = Beam(i, axes @ end[:3, 3], ca.DM(3, 1), axes @ centre, axes)
         following = robot.next_joint(i + 1)
         if offset and following is not None and robot.joints[following].kind == "revolute":
             slide = robot.frames[following].slide
@@ -73,7 +105,7 @@ def beams(robot: Robot, offset: bool = False) -> tuple[Beam, ...]:
             aside = float(ca.norm_2(ca.cross(beam.span + axis[:3, 3], axis[:3, 2])))
             if slide and abs(slide.value) >= SHORTEST and aside > PARALLEL:
                 beyond = axis[:3, 3] + slide.value * axis[:3, 2]
-                found.append(Beam(i, beam.span + beyond, beyond))
+                found.append(replace(beam, span=beam.span + beyond, beyond=beyond))
         elif not offset and beam.length >= SHORTEST:
             found.append(beam)
     return tuple(found)
@@ -122,7 +154,7 @@ class ElasticLink(Effect):
         """Return the deflection with each link's end displaced."""
         link = ca.SX(still.link)
         for beam, own in zip(self.beams, ca.vertsplit(p, len(self.flexibilities)), strict=True):
-            link[:, beam.link + 1] = beam.bent(self.soft(beam, own), *beam.load(state))
+            link[:, beam.link + 1] = beam.twist(self.soft(beam, own), state)
         return replace(still, link=link)
 
     def beam(self, joint: int) -> Beam:

@@ -28,7 +28,8 @@ class LinkBending(ElasticLink):
 
     r, of length L, is the vector from its joint's axis to that end; C, the curvature per moment, is 1/EI across r, and 1/GJ
     along it for a link that twists too. An oblique link, with skew principal axes or not along that line, has a symmetric C in
-    the frame of its end instead: bending in two planes and torsion are coupled.
+    the frame of its end instead: bending in two planes and torsion are coupled. Its own weight is such a load too, shared
+    between its centre of mass and its ends (see `Beam.twist`).
     """
 
     section: Section = ""

@@ -13,7 +13,10 @@ from calflow.robot.mechanism import Row, State
 
 @dataclass(frozen=True)
 class LinkTorsion(ElasticLink):
-    """Twist = L/GJ times the moment about the link's own line, from its joint's axis to its far end; one 1/GJ per link."""
+    """Twist = L/GJ times the moment about the link's own line, from its joint's axis to its far end; one 1/GJ per link.
+
+    Its own weight twists it as far as its centre of mass.
+    """
 
     id = "link-torsion"
     title = "link torsion"
