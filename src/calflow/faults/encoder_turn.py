@@ -26,10 +26,8 @@ DECISIVE = 9.0  # difference of the deviations from nominal that decides between
 CHANGE = 8.0  # cost of the begin or end of a block: that of an error of 150 robust standard deviations
 # Least share of a block's rows that must be far better with the turn corrected, and of the others without.
 MIN_IMPROVED_SHARE = 0.8
-EXACT, CERTAIN = (
-    0.02,
-    4.0,
-)  # share of a turn, and standard deviations, that a step may differ from one: true turns do by 0.004
+EXACT = 0.02  # share of a turn by which a step may differ from one; true turns do by 0.004
+CERTAIN = 4.0  # standard deviations by which it must, to be none
 
 
 @dataclass(frozen=True)
