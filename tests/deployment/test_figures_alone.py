@@ -44,6 +44,15 @@ def soft(rows):
     return cf.identify(rows[0].robot, rows[0], EFFECTS, starts=1)
 
 
+def worn() -> tuple[cf.Robot, cf.Measurements]:
+    """A rigid robot with geometry errors, and what was measured of it."""
+    robot = industrial()
+    model = build(robot, ("geometry",))
+    rng = np.random.default_rng(5)
+    truth = model.nominal + 0.3 * model.prior_sd * rng.standard_normal(len(model.nominal))
+    return robot, measured(model, truth, 120, rng, sigma=SIGMA)
+
+
 def missed(written: exporting.Export, folder: Path, data: cf.Measurements) -> float:
     """The mean error of held-out poses [mm], by the figures of a robot file and nothing else."""
     held, path = data.only(data.held_out), folder / "robot.toml"
@@ -136,11 +145,7 @@ def test_bars_of_a_loop_are_no_zeros():
 
 def test_what_the_device_does_is_not_the_robots():
     """Fails if figures take over that the device was moved between sessions, or it counts as what the robot misses by."""
-    robot = industrial()
-    model = build(robot, ("geometry",))
-    rng = np.random.default_rng(5)
-    truth = model.nominal + 0.3 * model.prior_sd * rng.standard_normal(len(model.nominal))
-    data = measured(model, truth, 120, rng, sigma=SIGMA)
+    robot, data = worn()
     later = np.arange(len(data)) >= len(data) // 2
     table = data.table.assign(session=np.where(later, "second day", "first day"))
     shift = 2e-3 * later
@@ -158,11 +163,7 @@ def test_what_the_device_does_is_not_the_robots():
 
 def test_rows_that_may_be_before_a_step_judge_no_level():
     """Fails if held-out rows, of which no fitted one tells whether the device had moved, count as what commands miss by."""
-    robot = industrial()
-    model = build(robot, ("geometry",))
-    rng = np.random.default_rng(5)
-    truth = model.nominal + 0.3 * model.prior_sd * rng.standard_normal(len(model.nominal))
-    data = measured(model, truth, 120, rng, sigma=SIGMA)
+    robot, data = worn()
     row = np.arange(len(data))
     aside = (row % 5 == 0) | ((row >= 55) & (row < 75))
     table = data.table.assign(

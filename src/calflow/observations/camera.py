@@ -204,10 +204,8 @@ class Camera(Observation):
         for target in self.targets:
             part = "-".join(filter(None, (self.series.name, "target", target.name)))
             sd = self.series.number(self.size_setting) or 0.0
-            yield (
-                *self._place(part, "target", target.place),
-                self._error(part, PRINT_SCALE, "1", sd, FURTHEST * sd, 0.0, "scale of the print", of_size=True),
-            )
+            size = self._error(part, PRINT_SCALE, "1", sd, FURTHEST * sd, 0.0, "scale of the print")
+            yield *self._place(part, "target", target.place), size and replace(size, of_size=True)
 
     def _place(self, part: str, what: str, nominal: Six) -> list[Parameter | None]:
         parameters = []
@@ -241,21 +239,9 @@ class Camera(Observation):
         )
 
     def _error(
-        self,
-        part: str,
-        symbol: str,
-        unit: str,
-        sd: float,
-        bound: float,
-        figure: float,
-        meaning: str,
-        of_size: bool = False,
+        self, part: str, symbol: str, unit: str, sd: float, bound: float, figure: float, meaning: str
     ) -> Parameter | None:
-        if not sd:
-            return None
-        return Parameter(
-            self.id, part, symbol, unit, sd, -bound, bound, figure=figure, meaning=meaning, of_size=of_size
-        )
+        return Parameter(self.id, part, symbol, unit, sd, -bound, bound, figure=figure, meaning=meaning) if sd else None
 
     @property
     def reports(self) -> int:

@@ -79,30 +79,17 @@ class Distance(OfThings):
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the anchor's position, the offset and the scale, so far as they are unknown."""
-        described = [
-            *(
-                ("anchor", axis, "m", UNKNOWN_SD, UNKNOWN_BOUND, self.anchor[k], f"anchor of {self.part}, {axis}")
-                for k, axis in enumerate("xyz")
-            ),
-            ("offset", "offset", "m", OFFSET_SD, OFFSET_BOUND, self.found, f"zero of {self.part}"),
-            ("scale", "scale", "1", SCALE_SD, SCALE_BOUND, 0.0, f"scale of {self.part}"),
+        axes = [
+            self._error(axis, "m", UNKNOWN_SD, UNKNOWN_BOUND, self.anchor[k], f"anchor of {self.part}, {axis}")
+            for k, axis in enumerate("xyz")
         ]
-        return tuple(
-            Parameter(
-                self.id,
-                self.part,
-                symbol,
-                unit,
-                sd,
-                -bound,
-                bound,
-                figure=figure,
-                meaning=meaning,
-                of_size=what == "scale",
-            )
-            for what, symbol, unit, sd, bound, figure, meaning in described
-            if what in self._open
-        )
+        zero = self._error("offset", "m", OFFSET_SD, OFFSET_BOUND, self.found, f"zero of {self.part}")
+        scale = self._error("scale", "1", SCALE_SD, SCALE_BOUND, 0.0, f"scale of {self.part}")
+        every = {"anchor": axes, "offset": [zero], "scale": [replace(scale, of_size=True)]}
+        return tuple(error for what, errors in every.items() if what in self._open for error in errors)
+
+    def _error(self, symbol: str, unit: str, sd: float, bound: float, figure: float, meaning: str) -> Parameter:
+        return Parameter(self.id, self.part, symbol, unit, sd, -bound, bound, figure=figure, meaning=meaning)
 
     @property
     def reports(self) -> int:
