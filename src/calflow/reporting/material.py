@@ -113,8 +113,8 @@ class Material(RunOutcome):
 
     @cached_property
     def distance(self) -> np.ndarray:
-        """Norm of each row's error, shape (n_rows,) [unit]; nan where its values have another unit."""
-        return errors_in(_used(self.residuals.table), self.certainty.unit)
+        """Norm of each row's error, shape (n_rows,) [unit]; nan where its values have another unit, or it may be before a step."""
+        return np.where(self._undecided, np.nan, errors_in(_used(self.residuals.table), self.certainty.unit))
 
     @cached_property
     def tested(self) -> pd.DataFrame:
@@ -123,8 +123,14 @@ class Material(RunOutcome):
 
     @cached_property
     def values(self) -> np.ndarray:
-        """Predicted minus measured values in the judged unit, (n_rows, n_axes) [unit]; nan for other units."""
-        return np.asarray(self.unit.shown(errors(self.calibrated.model, self.calibrated.estimate, self.data)))
+        """Predicted minus measured values in the judged unit, (n_rows, n_axes) [unit]; nan as of `distance`."""
+        values = self.unit.shown(errors(self.calibrated.model, self.calibrated.estimate, self.data))
+        return np.where(self._undecided[:, None], np.nan, values)
+
+    @cached_property
+    def _undecided(self) -> np.ndarray:
+        """Mask of the rows of which the fit does not tell whether they are before a step, (n_rows,)."""
+        return self.calibrated.model.undecided(self.data)
 
     @cached_property
     def drawn(self) -> np.ndarray:
