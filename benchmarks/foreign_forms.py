@@ -319,22 +319,38 @@ def pivot_aside(h: Hidden, arm: Arm, rows: Rows, now: State) -> Yielding:
     return _turning(h, arm, rows, "bearing", h.i, turn, -np.cross(turn, pivot))
 
 
-def _beam(h: Hidden, arm: Arm, rows: Rows, now: State, soft: Callable[[float], Array], at_end: bool = True) -> Yielding:
+def _beam(h: Hidden, arm: Arm, rows: Rows, now: State, soft: Callable[[float], Array]) -> Yielding:
     """Bend and twist link h along its line: soft(place) is curvature per moment (3, 3) where place goes from 0 to 1.
 
-    The line goes from its joint to its end (the next joint), or from its joint's axis where the link before ends on.
+    The line goes from its joint to its end (the next joint). Each place carries what hangs at the end and the link beyond it.
     """
     i, tip = h.i, now.tips[h.i]
     line = tip.into(tip.place - now.joints[i].place)
+    mass, first = now.mass[:, i] - now.mass[:, i + 1], now.first[:, i] - now.first[:, i + 1]
+    centre = tip.into(first / mass[:, None] - now.joints[i].place)
     shift, turn = np.zeros(line.shape), np.zeros(line.shape)
-    nodes, weights = np.polynomial.legendre.leggauss(5)
+    nodes, weights = np.polynomial.legendre.leggauss(12)
     for place, weight in zip((nodes + 1) / 2, weights / 2, strict=True):
         lever = (1 - place) * line
         carried = now.moment(i + 1, tip.place - np.einsum("nij,nj->ni", tip.turn, lever))
-        curved = h.size * weight * np.linalg.norm(line, axis=1, keepdims=True) * tip.into(carried) @ soft(place)
+        own = np.cross(_beyond(line, centre, mass, place), tip.into(np.broadcast_to(GRAVITY, line.shape)))
+        curved = h.size * weight * np.linalg.norm(line, axis=1, keepdims=True) * (tip.into(carried) + own) @ soft(place)
         turn += curved
         shift += np.cross(curved, lever)
     return _turning(h, arm, rows, "tip", i, turn, shift)
+
+
+def _beyond(line: Array, centre: Array, mass: Array, place: float) -> Array:
+    """First moment (rows, 3) about a place of a line of what lies beyond it of a link [kg m].
+
+    Its mass lies beside the line at its centre, spread evenly about that as far as the line's nearer end.
+    """
+    share = np.clip((centre * line).sum(axis=1) / (line**2).sum(axis=1), 0.0, 1.0)
+    half = np.maximum(np.minimum(share, 1 - share), 1e-9)
+    start = np.clip(place, share - half, share + half)
+    left = mass * (share + half - start) / (2 * half)
+    middle = (start + share + half) / 2
+    return left[:, None] * (centre + (middle - share - place)[:, None] * line)
 
 
 def _direction(arm: Arm, i: int) -> Array:

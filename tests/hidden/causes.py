@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hidden import forms, frame_causes, joint_causes
+from hidden import beams, forms, frame_causes, joint_causes
 from hidden.file_faults import ON_TABLE
 from hidden.frame_causes import stepped
 from hidden.random_functions import direction, random_function
-from hidden.simulator import WEIGHT, Array, Motion, Robot, Rows, State, carried, close, equilibrium, tool_point
+from hidden.simulator import Array, Motion, Robot, Rows, State, carried, close, equilibrium, tool_point
 from hidden.tool_causes import ON_TOOL
 
 WIND_UP = np.deg2rad(5.0)  # travel over which friction winds a joint up
@@ -195,74 +195,6 @@ def base_play(h: Hidden, robot: Robot, rows: Rows, state: State) -> Motion:
     return _motion(robot, rows, "base", h.size / 2 * np.sign(state.base_moment @ line)[:, None] * line)
 
 
-def link_bending(h: Hidden, robot: Robot, rows: Rows, state: State) -> Motion:
-    """A cantilever from this joint's axis to the next, bent by force and moment at its tip and by its own weight; size is 1/EI.
-
-    "to the wrist" it ends at the far end of the next joint's offset, where it is bent by force and moment there.
-    """
-    i = h.joint - 1
-    beyond = np.zeros(3)
-    length, along = beam(robot, i)
-    if h.extra == "to the wrist":
-        line, beyond = _to_the_wrist(robot, i)
-        length, along = np.linalg.norm(line), line / np.linalg.norm(line)
-    tip = (length, state.tip_force[:, i], state.tip_moment[:, i] - np.cross(beyond, state.tip_force[:, i]))
-    shift, turn = np.zeros((len(rows), 3)), np.zeros((len(rows), 3))
-    for place, force, moment in (tip, *own_weight(robot, state, i, length, along)):
-        force, moment = force - (force @ along)[:, None] * along, moment - (moment @ along)[:, None] * along
-        sag = place**3 / 3 * force + place**2 / 2 * np.cross(moment, along)
-        slope = place**2 / 2 * np.cross(along, force) + place * moment
-        shift, turn = shift + sag + np.cross(slope, (length - place) * along - beyond), turn + slope
-    return _motion(robot, rows, "tip", h.size * np.concatenate([shift, turn], axis=1), i)
-
-
-def link_torsion(h: Hidden, robot: Robot, rows: Rows, state: State) -> Motion:
-    """Twist about the line to the next joint under the moment carried at the tip, and under its own weight; the size is 1/GJ.
-
-    Of a link "to the wrist" about the line to the far end of the next joint's offset, at its own joint.
-    """
-    i = h.joint - 1
-    length, along = beam(robot, i)
-    force, moment = state.tip_force[:, i], state.tip_moment[:, i]
-    if h.extra == "to the wrist":
-        line, beyond = _to_the_wrist(robot, i)
-        length, along, moment = np.linalg.norm(line), line / np.linalg.norm(line), moment - np.cross(beyond, force)
-    carried_there = ((length, force, moment), *own_weight(robot, state, i, length, along))
-    twist = h.size * sum(place * (about @ along)[:, None] * along for place, _, about in carried_there)
-    if h.extra == "to the wrist":
-        return _motion(robot, rows, "bearing", twist, i)
-    return _motion(robot, rows, "tip", np.concatenate([np.zeros_like(twist), twist], axis=1), i)
-
-
-def own_weight(robot: Robot, state: State, i: int, length: float, along: Array) -> list[tuple[float, Array, Array]]:
-    """A link's weight in pieces: place along its line [m], force, and moment about the line there (rows, 3), in its frame.
-
-    It is spread evenly about its centre as far as the nearer end of the line; what lies beyond the far end acts there, and a
-    centre behind the joint bends nothing.
-    """
-    weight = robot.mass[i] * WEIGHT @ state.frames.links[i][:, :3, :3]
-    centre = robot.com[i] + np.array([0.0, 0.0, robot.d[..., i].mean()])
-    middle = float(np.clip(centre @ along, 0.0, length))
-    half = min(middle, length - middle)
-    pieces = 50
-    aside = np.cross(centre - middle * along, weight)
-    places = middle + half * (2 * (np.arange(pieces) + 0.5) / pieces - 1)
-    return [(place, weight / pieces, aside / pieces) for place in places]
-
-
-def _to_the_wrist(robot: Robot, i: int) -> tuple[Array, Array]:
-    """From a link's joint to the far end of the next joint's offset, and the last part of it, along that joint's axis."""
-    beyond = robot.d[i + 1] * np.array([0.0, -np.sin(robot.alpha[i + 1]), np.cos(robot.alpha[i + 1])])
-    return np.array([robot.a[i + 1], 0.0, robot.d[i]]) + beyond, beyond
-
-
-def beam(robot: Robot, i: int) -> tuple[float, Array]:
-    """Length and direction of a link in its own frame, from its joint's origin to the next joint's."""
-    line = np.array([robot.a[..., i + 1].mean() if i + 1 < robot.n else 0.0, 0.0, robot.d[..., i].mean()])
-    length = float(np.linalg.norm(line))
-    return length, line / length
-
-
 def rod_play(h: Hidden, robot: Robot, rows: Rows, state: State) -> Motion:
     """The loop's rod is longer or shorter by half the size, so that the link it holds gives way to its load."""
     if robot.loop is None:
@@ -386,9 +318,8 @@ ON_MOTION = {
     "base-compliance": base_compliance,
     "base-play": base_play,
     "rod-play": rod_play,
-    "link-bending": link_bending,
-    "link-torsion": link_torsion,
     "tool-deflection": tool_deflection,
+    **beams.ON_MOTION,
     **forms.ON_MOTION,
     **ON_TOOL,
 }

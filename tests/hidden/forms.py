@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hidden.beams import bent, round_tube
 from hidden.simulator import WEIGHT, Array, Motion, Robot, Rows, State, carried
 
 if TYPE_CHECKING:
     from hidden.causes import Hidden
 
-SHEAR = 1.3  # EI over GJ of a round tube
 COLUMN, ARM = 0.6, 0.15  # m: a compensator's hinges from joint 2
 
 
@@ -32,57 +32,6 @@ def cantilever_bracket(h: Hidden, robot: Robot, rows: Rows, state: State) -> Mot
     motion = Motion.none(len(rows), robot.n)
     motion.tip[:, -1] = np.concatenate([shift - np.cross(turn, end), turn], axis=1)
     return motion
-
-
-# --- Beams -------------------------------------------------------------------------------------------
-
-
-def oblique_beam(h: Hidden, robot: Robot, rows: Rows, state: State) -> Motion:
-    """A crooked link of two straight parts, each softer about one skew axis than about the other, and twisting.
-
-    The size is 1/EI about the stiffer axis. The crook is drawn, up to a third of the link's length aside.
-    """
-    rng, i = h.rng, h.joint - 1
-    end = np.array([robot.a[..., i + 1].mean() if i + 1 < robot.n else 0.0, 0.0, robot.d[..., i].mean()])
-    aside = np.cross(end, rng.normal(size=3))
-    aside *= rng.uniform(0.1, 0.33) * np.linalg.norm(end) / np.linalg.norm(aside)
-    path = np.array([np.zeros(3), rng.uniform(0.3, 0.7) * end + aside, end])
-    soft = [h.size * skew_section(rng, part) for part in np.diff(path, axis=0)]
-    shift, turn = bent(path, soft, state.tip_force[:, i], state.tip_moment[:, i])
-    motion = Motion.none(len(rows), robot.n)
-    motion.tip[:, i] = np.concatenate([shift, turn], axis=1)
-    return motion
-
-
-def bent(path: Array, soft: list[Array], force: Array, moment: Array) -> tuple[Array, Array]:
-    """Shift and turn (rows, 3) of the end of a chain of straight beams under force and moment (rows, 3) at its end.
-
-    path has the beams' ends, the first of them held; soft is each one's curvature per moment, symmetric (3, 3). At every point
-    the moment carried is that of the end and of the force on its lever, and the curvature there turns what lies beyond.
-    """
-    shift, turn = np.zeros(force.shape), np.zeros(force.shape)
-    places, weights = np.polynomial.legendre.leggauss(4)
-    for start, end, section in zip(path[:-1], path[1:], soft, strict=True):
-        for place, weight in zip((places + 1) / 2, weights / 2, strict=True):
-            lever = path[-1] - (start + place * (end - start))
-            curved = weight * np.linalg.norm(end - start) * (moment + np.cross(lever, force)) @ section
-            turn += curved
-            shift += np.cross(curved, lever)
-    return shift, turn
-
-
-def round_tube(along: Array) -> Array:
-    """Curvature per moment (3, 3) of a round tube with EI = 1."""
-    unit = along / np.linalg.norm(along)
-    return np.eye(3) + (SHEAR - 1) * np.outer(unit, unit)
-
-
-def skew_section(rng: np.random.Generator, along: Array) -> Array:
-    """The same of a section two to five times softer about a drawn axis across than about the other."""
-    unit = along / np.linalg.norm(along)
-    across = np.cross(unit, rng.normal(size=3))
-    across /= np.linalg.norm(across)
-    return round_tube(along) + rng.uniform(1, 4) * np.outer(across, across)
 
 
 # --- Bearings and links ------------------------------------------------------------------------------
@@ -167,6 +116,6 @@ def slanting(rng: np.random.Generator, axis: Array, most: float) -> Array:
     return np.cos(angle) * axis + np.sin(angle) * across / np.linalg.norm(across)
 
 
-ON_MOTION = {"cantilever-bracket": cantilever_bracket, "oblique-beam": oblique_beam, "offset-bearing": offset_bearing}
+ON_MOTION = {"cantilever-bracket": cantilever_bracket, "offset-bearing": offset_bearing}
 ON_ROBOT = {"warm-link": warm_link}
 ON_TORQUE = {"spring-compensator": spring_compensator}

@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hidden import forms
+from hidden import beams, causes, forms
+from hidden.beams import bent, link_bending, link_torsion, round_tube
 from hidden.case import Case, draw
-from hidden.causes import Hidden, link_bending, link_torsion
+from hidden.causes import Hidden
 from hidden.simulator import Array, Motion, Robot, Rows, State, energy, frames, statics
 
 SOFT = {
@@ -37,11 +38,14 @@ def work(robot: Robot, rows: Rows, motion: Motion) -> Array:
 def test_what_one_payload_does_on_the_other_s_motion_is_what_the_other_does_on_its_own(name: str) -> None:
     """Fails if a compliance is not symmetric, or turns and shifts about another place than where its loads are taken."""
     robot, rows, _ = loaded()
+    robot = replace(
+        robot, mass=np.where(np.arange(robot.n) == SOFT[name].joint - 1, 0.0, robot.mass)
+    )  # its own work is inside it
     done = {}
     for load in (0, 2):
         carried = replace(rows, payload=np.full(len(rows), load))
         state = statics(robot, carried, Motion.none(len(rows), robot.n))
-        done[load] = carried, forms.ON_MOTION[SOFT[name].cause](SOFT[name], robot, carried, state)
+        done[load] = carried, causes.ON_MOTION[SOFT[name].cause](SOFT[name], robot, carried, state)
     (empty, first), (full, second) = done.values()
     np.testing.assert_allclose(work(robot, empty, second), work(robot, full, first), rtol=1e-3, atol=1e-9)
     assert (work(robot, full, second) > 0).all(), "a load does work on the motion that it makes"
@@ -58,15 +62,34 @@ def test_a_straight_round_beam_is_the_cantilever_and_the_twist_of_textbooks() ->
     weightless = replace(robot, mass=0 * robot.mass)
     bends, twists = np.eye(3) - np.outer(unit, unit), np.outer(unit, unit)
     for section, textbook in ((bends, link_bending), (twists, link_torsion)):
-        shift, turn = forms.bent(path, [section, section], force, moment)
+        shift, turn = bent(path, [section, section], force, moment)
         known = textbook(Hidden("", 2, 1.0), weightless, rows, state).tip[:, 1]
         np.testing.assert_allclose(np.concatenate([shift, turn], axis=1), known, rtol=1e-9, atol=1e-9)
+
+
+def test_a_crooked_beam_s_own_weight_at_its_end_is_that_of_the_next_link_there() -> None:
+    """Fails if a piece of a link's weight bends the wrong part of it, or the end does not go with what is bent."""
+    robot, rows, _ = loaded()
+    h, own, following = SOFT["oblique-beam"], *(np.arange(robot.n) == link for link in (1, 2))
+    at_end = np.array([robot.a[2], 0.0, 0.0])
+    light = replace(robot, mass=np.where(following, 0.0, robot.mass))
+    heavy = light.mass[1]
+    ends = replace(light, com=np.where(own[:, None], at_end, light.com))
+    joints = replace(
+        light,
+        mass=np.where(own, 0.0, light.mass) + heavy * following,
+        com=np.where(following[:, None], [0, 0, -light.d[2]], light.com),
+    )
+    bent_by = (
+        beams.oblique_beam(h, arm, rows, statics(arm, rows, Motion.none(len(rows), arm.n))) for arm in (ends, joints)
+    )
+    np.testing.assert_allclose(*(motion.tip[:, 1] for motion in bent_by), rtol=1e-9, atol=1e-12)
 
 
 def test_a_bracket_turns_by_one_and_a_half_of_its_shift_over_its_length() -> None:
     """Fails if a force on a cantilever's end does not turn it as it should."""
     path, force = np.array([[0, 0, 0], [0, 0, 0.4]]), np.array([[10.0, 0, 0]])
-    shift, turn = forms.bent(path, [forms.round_tube(path[1])], force, 0 * force)
+    shift, turn = bent(path, [round_tube(path[1])], force, 0 * force)
     np.testing.assert_allclose(shift, [[0.4**3 / 3 * 10, 0, 0]])
     np.testing.assert_allclose(turn, [[0, 1.5 / 0.4 * shift[0, 0], 0]])
 
