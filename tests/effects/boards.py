@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 
@@ -15,13 +17,17 @@ CAUSES = ("board-bent", "print-scale", "camera-slip", "target-slip", "joint-ecce
 ONLY = f"\n[stages.diagnose]\ncatalogue = {[*CAUSES]}\n".replace("'", '"')
 
 
-def of_plate(seed: int, plate: np.ndarray) -> Photographs:
-    """Photographs by a worn arm of a plate whose points (20, 3) [m] are not where the file says that they are."""
-    made = photographed(UR5E, True, IMAGES, np.random.default_rng(seed), points=plate)
-    real = made.rows[["px_x_mm", "px_y_mm", "px_z_mm"]].to_numpy()
-    which = np.linalg.norm(real[:, None] - 1e3 * plate, axis=2).argmin(axis=1)
-    made.rows[["px_x_mm", "px_y_mm", "px_z_mm"]] = 1e3 * BOARD[which]
-    return made
+def of_plates(seed: int, *plates: np.ndarray) -> Photographs:
+    """Photographs by a worn arm of plates, one after another, whose points (20, 3) [m] are not where the file has them."""
+    rng, tables = np.random.default_rng(seed), []
+    worn = UR5E.worn(rng)
+    for k, plate in enumerate(plates):
+        made = photographed(UR5E, True, IMAGES, rng, points=plate, worn=worn)
+        real = made.rows[["px_x_mm", "px_y_mm", "px_z_mm"]].to_numpy()
+        which = np.linalg.norm(real[:, None] - 1e3 * plate, axis=2).argmin(axis=1)
+        made.rows[["px_x_mm", "px_y_mm", "px_z_mm"]] = 1e3 * BOARD[which]
+        tables.append(made.rows.assign(pose=made.rows["pose"] + k * IMAGES, target=f"board{k + 1}"))
+    return replace(made, rows=pd.concat(tables, ignore_index=True))
 
 
 def findings_of(folder, made: Photographs, more: str = ONLY) -> pd.DataFrame:

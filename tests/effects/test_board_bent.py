@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
 import pytest
 
-from effects.boards import BOARD, findings_of, of_plate
+from effects.boards import BOARD, findings_of, of_plates
 
 
 def bent(by: float) -> np.ndarray:
@@ -18,9 +19,25 @@ def test_a_plate_that_is_not_flat_and_longer_one_way_is_findings_of(tmp_path):
     """Fails if a bow or a stretched print (`print-scale`) is missed beside the other, taken for another cause, or of another size:
     the plate's height, and how much longer the print is one way than the other.
     """
-    both = findings_of(tmp_path, of_plate(11, bent(4e-4) * [1.0, 1.003, 1.0]))
+    assert_bent_and_stretched(findings_of(tmp_path, of_plates(11, bent(4e-4) * [1.0, 1.003, 1.0])))
+
+
+def assert_bent_and_stretched(both: pd.DataFrame) -> None:
+    """Both errors of the plate are found, and nothing else."""
     assert {*both.index} == {"board-bent", "print-scale"}
     for cause, size, sd in (("board-bent", 4e-4 * np.hypot(1, 0.5), 3e-5), ("print-scale", 3e-3, 3e-4)):
         assert both.loc[cause, "estimate"] == pytest.approx(size, abs=4 * both.loc[cause, "sd"])
         assert both.loc[cause, "sd"] < sd
     assert both.loc["board-bent", "heldout_mean"] < 0.3
+
+
+def test_the_second_of_two_plates_is_bent_and_stretched(tmp_path):
+    """Fails if errors of a plate are missed beside another one that has none, or are of that one."""
+    both = findings_of(tmp_path, of_plates(11, BOARD, bent(4e-4) * [1.0, 1.003, 1.0]))
+    assert_bent_and_stretched(both)
+    assert both["statement"].str.contains("target board2", regex=False).all()
+
+
+def test_two_plates_that_are_as_stated_are_silent(tmp_path):
+    """Fails if a worn arm's errors are taken for those of one of two plates, each of which has figures of its own."""
+    assert findings_of(tmp_path, of_plates(12, BOARD, BOARD)).empty

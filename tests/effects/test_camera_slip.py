@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calflow.diagnosis.screening import Catalogue
-from calflow.effects.camera_slip import CameraSlip, TargetSlip
+from calflow.effects.camera_slip import CameraSlip
 from calflow.measurements.measurements import Measurements, combined
 from conftest import in_process
 from observations.photographed import IN_HAND, ON_TABLE, UR5E, Arm, Photographs, board, frame, photographed
@@ -95,18 +95,26 @@ def test_a_slip_is_of_one_of_several_series(tmp_path):
     assert numbers["a"][0] != numbers["b"][0]
 
 
-def test_a_slip_is_of_one_camera_and_between_images(tmp_path):
-    """Fails if a moment parts the points of an image, or it is looked for where nothing says which camera a row is of."""
+def test_later_images_of_one_camera_alone_are_known_as_its_own(tmp_path):
+    """Fails if a file of one camera does not say which of several it is, so that no cause of that camera acts in it."""
+    made = slipped(6)
+    rows = made.rows.assign(camera=np.where(made.rows["pose"] % 2, "left", "right"))
+    numbers = []
+    for name, kept in (("both", rows), ("one", rows[rows["camera"] == "right"])):
+        (tmp_path / name).mkdir()
+        table = study(tmp_path / name, replace(made, rows=kept), "ur5e", True).measurements().table
+        numbers.append(table.groupby("camera")["camera_number"].unique()["right"].tolist())
+    assert numbers[0] == numbers[1]
+
+
+def test_a_slip_is_between_images(tmp_path):
+    """Fails if a moment parts the points of an image."""
     made = slipped(6)
     data = study(tmp_path, made, "ur5e", True).measurements()
     last = data.table.groupby("pose")["order"].max().to_numpy()
     variants = CameraSlip.variants(data.robot, data)
     reached = {one.moment for slip in variants for one in (slip, *slip.finer(data))}
     assert reached == {*(last[2:-3] + 0.5)}
-    for kind, what in ((CameraSlip, "camera"), (TargetSlip, "target")):
-        two = Measurements(data.robot, data.table.assign(**{what: np.where(data.table["order"] % 2, "left", "right")}))
-        assert f"one {what}" in kind.lacking(data.robot, two)
-        assert kind.variants(data.robot, two) == ()
 
 
 def test_no_cause_of_a_device_that_was_not_used_counts_as_untested(tmp_path):

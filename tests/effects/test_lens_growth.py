@@ -18,12 +18,13 @@ FOCAL, CENTRE = 1.5e-3, np.array([4e-4, -3e-4])  # relative growth; shift in foc
 ONLY = '\n[stages.diagnose]\ncatalogue = ["lens-growth", "stand-growth", "frame-drift", "camera-slip", "joint-eccentricity"]\n'
 
 
-def warming(seed: int, focal: float, centre: np.ndarray) -> Photographs:
-    """Photographs of a worn arm by a camera whose lens grows and whose image's centre moves as it warms up."""
-    made = photographed(UR5E, True, IMAGES, np.random.default_rng(seed), points=board(5, 4, 0.05))
+def warming(seed: int, focal: float, centre: np.ndarray, cameras: int = 1) -> Photographs:
+    """Photographs of a worn arm by cameras in turn, the last of whose lens grows and image's centre moves as it warms up."""
+    made = photographed(UR5E, True, cameras * IMAGES, np.random.default_rng(seed), points=board(5, 4, 0.05))
     rows = made.rows
-    rows["time_s"] = EVERY * (rows["pose"] - 1)
-    grown = 1 - np.exp(-rows["time_s"].to_numpy() / CONSTANT)
+    rows["time_s"] = EVERY * (rows["pose"] - 1) / cameras
+    rows["camera"] = [f"camera{1 + pose % cameras}" for pose in rows["pose"]]
+    grown = (1 - np.exp(-rows["time_s"].to_numpy() / CONSTANT)) * (rows["camera"] == f"camera{cameras}")
     for name, middle, length, moved in zip(("u_px", "v_px"), made.lens.centre, made.lens.focal, centre, strict=True):
         rows[name] = middle + (rows[name] - middle) * (1 + focal * grown) + moved * length * grown
     return made
@@ -38,12 +39,27 @@ def findings(folder, made: Photographs) -> pd.DataFrame:
 
 def test_a_lens_that_warms_up_is_no_camera_that_moves(tmp_path):
     """Fails if a growing image is taken for a camera that creeps, or for growth of another size."""
-    found = findings(tmp_path, warming(7, FOCAL, CENTRE))
+    assert_grown(findings(tmp_path, warming(7, FOCAL, CENTRE)), ")")
+
+
+def assert_grown(found: pd.DataFrame, of: str) -> None:
+    """One growth is named, as large as the hidden one, and what it is of."""
     assert [*found.index] == ["lens-growth"]
     lens = found.loc["lens-growth"]
+    assert f" h{of}" in lens["statement"]
     assert lens["status"] == "named"
     assert lens["estimate"] == pytest.approx(np.hypot(FOCAL, np.linalg.norm(CENTRE)), abs=4 * lens["sd"])
     assert lens["sd"] < 3e-4
+
+
+def test_the_lens_of_one_of_two_cameras_that_warms_up_is_found(tmp_path):
+    """Fails if growth is missed where another camera is steady, or is of that one."""
+    assert_grown(findings(tmp_path, warming(7, FOCAL, CENTRE, cameras=2)), ", camera camera2)")
+
+
+def test_no_lens_of_two_steady_cameras_grows(tmp_path):
+    """Fails if a worn arm's errors are taken for the growth of one of two cameras, each of which has figures of its own."""
+    assert findings(tmp_path, warming(8, 0.0, 0 * CENTRE, cameras=2)).empty
 
 
 def test_a_lens_that_does_not_change_has_no_growth(tmp_path):

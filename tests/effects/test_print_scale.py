@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from calflow.calibration import identify
-from effects.boards import BOARD, of_plate
+from effects.boards import BOARD, of_plates
 from observations.test_camera import study
 
 
@@ -13,7 +13,7 @@ def test_a_print_that_is_too_large_all_over_is_not_told_from_longer_links(tmp_pa
     """Fails if images are taken to tell how large a print is all over, of which a larger robot leaves the same, or if they do not
     tell that it is as much longer one way as the other.
     """
-    kept = study(tmp_path, of_plate(13, BOARD * [1.003, 1.003, 1.0]), "ur5e", True)
+    kept = study(tmp_path, of_plates(13, BOARD * [1.003, 1.003, 1.0]), "ur5e", True)
     found = identify(kept.robot, kept.measurements(), ["geometry", "print-scale"], starts=1)
     x, y = (k for k, parameter in enumerate(found.model.parameters) if parameter.effect == "print-scale")
     along = np.eye(len(found.estimate))[[x, y]]

@@ -216,14 +216,6 @@ def around(value: float, reach: float) -> list[float]:
     return [float(value + step) for step in (*-steps[::-1], 0.0, *steps)]
 
 
-def several_imaged(data: Measurements, what: str) -> str:
-    """Return what is missing where images are not of one camera or target (what) with stated points; empty otherwise."""
-    if "px_z" not in data.table:
-        return "images of points stated as px_x, px_y and px_z"
-    alone = len(data.series) == 1 and (what not in data.table or data.table[what].nunique() == 1)
-    return "" if alone else f"images of one {what} alone"
-
-
 def displaced(p: ca.SX, point: ca.SX) -> ca.SX:
     """Return a point's displacement (3,) by a shift p (3,), or a shift and a small rotation about the origin (6,)."""
     return p[:3] + (ca.cross(p[3:], point) if p.numel() == 6 else 0)

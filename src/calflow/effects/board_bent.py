@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from calflow.effects.base import Effect, Words, several_imaged
+from calflow.effects.base import Words
+from calflow.effects.of_images import OfImages
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Row
 from calflow.robot.parts import Parameter
@@ -19,22 +20,22 @@ FLAT = 1e-4  # m: range of z beyond which the points are those of a solid, not o
 
 
 @dataclass(frozen=True)
-class BoardBent(Effect):
+class BoardBent(OfImages):
     """Height of a target's point + (xx x² + xy x y + yy y²) / (0.1 m)²; lower orders belong to the target's pose."""
 
     id = "board-bent"
     title = "board that is not flat"
     words = Words("board that is not flat", "the plate is bowed or twisted", "height at 0.1 m from its middle")
     whole = "target"
-    imaged = True
     told_by = "lay a straight edge on the plate, along it, across it and from corner to corner"
 
     @classmethod
     def unfit(cls, robot: Robot, data: Measurements) -> str:
-        """Return what is missing where the images are not of one flat target."""
-        if several := several_imaged(data, "target"):
-            return several
-        return "" if np.ptp(data.table["px_z"].to_numpy(float)) < FLAT else "a target whose points lie in a plane"
+        """Return what is missing where the images are not of a flat target."""
+        if unfit := super().unfit(robot, data):
+            return unfit
+        ranges = data.table.groupby(data.imaged(cls.whole))["px_z"].agg(np.ptp)
+        return "" if ranges.min() < FLAT else "a target whose points lie in a plane"
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the heights at 0.1 m along x and y, and that of the twist."""
@@ -47,7 +48,7 @@ class BoardBent(Effect):
 
     def target(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
         """Return the point, raised by the plate's deviation from its plane."""
-        return point + ca.vertcat(0, 0, bow(p, point))
+        return point + ca.vertcat(0, 0, self.mine(row) * bow(p, point))
 
 
 def bow(p: ca.SX, point: ca.SX) -> ca.SX:

@@ -2,80 +2,33 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import ClassVar, Self
+from dataclasses import dataclass
+from typing import ClassVar
 
 import casadi as ca
-import numpy as np
 
-from calflow.effects.base import LENS, OF_THE_FRAME, Words, refocused, several_imaged
+from calflow.effects.base import LENS, OF_THE_FRAME, Words, refocused
+from calflow.effects.of_images import OfImages
 from calflow.effects.step_change import BOUND, StepChange
-from calflow.measurements.measurements import Measurements
-from calflow.robot.mechanism import Row, name_number
+from calflow.robot.mechanism import Row
 from calflow.robot.parts import Parameter
-from calflow.robot.robot import Robot
 
 
 @dataclass(frozen=True)
-class CameraSlip(StepChange):
+class CameraSlip(OfImages, StepChange):
     """Point in the camera's frame - (x, y, z) - r x point, up to an image; of one camera, where there are several."""
-
-    of: str = ""
 
     id = "camera-slip"
     title = "camera that slipped"
-    imaged = True
     words = Words("camera that slipped", "the camera moved once on what it is fixed to", "shift")
     whole = "device"
     family = OF_THE_FRAME
     told_by = "photograph a target fixed beside the camera from time to time, or some of the first poses again"
     shift_sd, turn_sd = 5e-4, 1e-3
-    slipping: ClassVar[str] = "camera"
-
-    @classmethod
-    def unfit(cls, robot: Robot, data: Measurements) -> str:
-        """Return what is missing where no column tells several cameras (or targets) apart."""
-        return "" if f"{cls.slipping}_number" in data.given else several_imaged(data, cls.slipping)
-
-    @classmethod
-    def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
-        """Return each form between images, of each camera (or target) between its own."""
-        if f"{cls.slipping}_number" not in data.given:
-            return super().variants(robot, data)
-        found: list[Self] = []
-        names = data.imaged(cls.slipping)
-        for name in dict.fromkeys(names):
-            found += [replace(each, of=name) for each in super().variants(robot, data.only(names == name))]
-        return tuple(found)
-
-    def finer(self, data: Measurements) -> tuple[Self, ...]:
-        """Return the moments about this one between images of the same camera (or target)."""
-        return super().finer(data.only(self._shown(data)))
-
-    def undecided(self, data: Measurements) -> np.ndarray:
-        """Return the rows of which the fitted ones do not tell whether they are before the slip."""
-        about = self._shown(data)
-        about[about] = super().undecided(data.only(about))
-        return about
-
-    def same_as(self, other: Self) -> bool:
-        """Whether both are of one camera (or target), at moments too close for two separate slips."""
-        return self.of == other.of and super().same_as(other)
-
-    @property
-    def detail(self) -> str:
-        """The image after which it slipped, and which of several it was."""
-        return super().detail + f", {self.slipping} {self.of}" * bool(self.of)
 
     def before(self, row: Row) -> ca.SX:
         """Return 1 for a row of the same camera (or target) before the slip, else 0."""
-        before = super().before(row)
-        number = getattr(row, f"{self.slipping}_number")
-        return before * (number == name_number(self.of)) if self.of and before.nnz() else before
-
-    def _shown(self, data: Measurements) -> np.ndarray:
-        """Return the mask of the rows of its camera (or target), (n_rows,)."""
-        return data.imaged(self.slipping) == self.of if self.of else np.ones(len(data), dtype=bool)
+        return super().before(row) * self.mine(row)
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the shift and the rotation."""
@@ -95,7 +48,6 @@ class TargetSlip(CameraSlip):
     words = Words("target that slipped", "the board moved once on what it is fixed to", "shift")
     whole = "target"
     told_by = "clamp the board, and photograph it at some of the first poses again"
-    slipping = "target"
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
         """Return the point unchanged: the camera did not slip."""

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
 import casadi as ca
 
-from calflow.effects.base import LENS, OF_THE_FRAME, Words, displaced, refocused, several_imaged
+from calflow.effects.base import LENS, OF_THE_FRAME, Words, displaced, refocused
+from calflow.effects.of_images import OfImages
 from calflow.effects.warming import REFERENCE, Warming
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Row
@@ -21,36 +23,22 @@ BOUND = 100.0  # standard deviations
 
 
 @dataclass(frozen=True)
-class StandGrowth(Warming):
-    """Reported position + (x, y, z) g, and with turning + g r x position, where g grows with T or with 1 - exp(-t / constant).
+class DeviceGrowth(Warming):
+    """A change of what the device reports, times g, which grows with T or with 1 - exp(-t / constant).
 
-    g is zero at left, the mean temperature [K] or the last time [s] of the rows: the model's frame is that of the stand as it
+    g is zero at left, the mean temperature [K] or the last time [s] of the rows: the model's frame is that of the device as it
     was left, and later measurements are in it.
     """
 
-    turning: bool = False
     left: float = REFERENCE
 
-    id = "stand-growth"
-    title = "growth of the device's stand"
-    words = Words(
-        "growth of the device's stand", "the device's stand, or the robot's foot, follows the temperature, or settles"
-    )
-    readable = {"m/K": (1e6, "µm per °C"), "rad/K": (1e6, "µrad per °C")}
     whole = "device"
     family = OF_THE_FRAME
     taken_for = ()  # what it is mistaken for is of its family
-    course = "settling"
-    told_by = "measure points fixed to the floor from time to time"
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
-        """Return growth with the temperature or with a grid of time constants, without and with rotation."""
-        shifting = cls._left(robot, data)
-        return (*shifting, *(replace(growth, turning=True) for growth in shifting))
-
-    @classmethod
-    def _left(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
+        """Return growth with the temperature or with a grid of time constants."""
         return tuple(growth._as_left(data) for growth in super().variants(robot, data))
 
     @classmethod
@@ -66,7 +54,61 @@ class StandGrowth(Warming):
     @property
     def variant(self) -> str:
         """Short name of the form, without how it was left, which comes from the data."""
-        return super(StandGrowth, replace(self, left=0.0)).variant
+        return super(DeviceGrowth, replace(self, left=0.0)).variant
+
+    @property
+    @abstractmethod
+    def changes(self) -> list[tuple[str, str, float, str]]:
+        """Symbol, unit, usual size and meaning of each change of what is reported."""
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return the changes, and those at first where the device warms up again after pauses."""
+        per = "" if self.constant else "/K"
+        return tuple(
+            Parameter(self.id, self.whole, symbol + ending, unit + per, sd, -BOUND * sd, BOUND * sd, meaning=meaning)
+            for symbol, unit, sd, meaning in self.changes for ending in self.symbols
+        )  # fmt: skip
+
+    def size(self, p: ca.SX, own: Sequence[Parameter]) -> ca.SX:
+        """Return the shift alone, without that at first."""
+        return super(Warming, self).size(p[:: len(self.symbols)][:3], own[:: len(self.symbols)][:3])
+
+    def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
+        """Return the point, displaced."""
+        grown = self.warmth(p, row)
+        if not grown.nnz():
+            return point
+        as_left = replace(row, **{"time" if self.constant else "temperature": ca.SX(self.left)})
+        return point + self.change(grown - self.warmth(p, as_left), point)
+
+    @abstractmethod
+    def change(self, p: ca.SX, point: ca.SX) -> ca.SX:
+        """Return a point's displacement (3,)."""
+
+
+@dataclass(frozen=True)
+class StandGrowth(DeviceGrowth):
+    """Reported position + (x, y, z) g, and with turning + g r x position, where g grows with T or with 1 - exp(-t / constant).
+
+    g is zero where the stand was left.
+    """
+
+    turning: bool = False
+
+    id = "stand-growth"
+    title = "growth of the device's stand"
+    words = Words(
+        "growth of the device's stand", "the device's stand, or the robot's foot, follows the temperature, or settles"
+    )
+    readable = {"m/K": (1e6, "µm per °C"), "rad/K": (1e6, "µrad per °C")}
+    course = "settling"
+    told_by = "measure points fixed to the floor from time to time"
+
+    @classmethod
+    def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
+        """Return growth with the temperature or with a grid of time constants, without and with rotation."""
+        shifting = super().variants(robot, data)
+        return (*shifting, *(replace(growth, turning=True) for growth in shifting))
 
     @property
     def detail(self) -> str:
@@ -83,36 +125,16 @@ class StandGrowth(Warming):
             for symbol, unit, sd, meaning in kinds[: 2 if self.turning else 1] for axis in "xyz"
         ]  # fmt: skip
 
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Return the changes, and those at first where the device warms up again after pauses."""
-        per = "" if self.constant else "/K"
-        return tuple(
-            Parameter(self.id, "device", symbol + ending, unit + per, sd, -BOUND * sd, BOUND * sd, meaning=meaning)
-            for symbol, unit, sd, meaning in self.changes for ending in self.symbols
-        )  # fmt: skip
-
-    def size(self, p: ca.SX, own: Sequence[Parameter]) -> ca.SX:
-        """Return the shift alone, without that at first."""
-        return super(Warming, self).size(p[:: len(self.symbols)][:3], own[:: len(self.symbols)][:3])
-
-    def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
-        """Return the point, displaced."""
-        grown = self.warmth(p, row)
-        if not grown.nnz():
-            return point
-        as_left = replace(row, **{"time" if self.constant else "temperature": ca.SX(self.left)})
-        return point + self.change(grown - self.warmth(p, as_left), point)
-
     def change(self, p: ca.SX, point: ca.SX) -> ca.SX:
         """Return a point's displacement (3,)."""
         return displaced(p, point)
 
 
 @dataclass(frozen=True)
-class LensGrowth(StandGrowth):
+class LensGrowth(OfImages, DeviceGrowth):
     """Focal lengths times 1 + f g, the image's centre + (x, y) g focal lengths, where g grows with T or 1 - exp(-t / constant).
 
-    g is zero where the camera was left, as of the stand's growth.
+    g is zero where the camera was left.
     """
 
     id = "lens-growth"
@@ -120,19 +142,7 @@ class LensGrowth(StandGrowth):
     words = Words(
         "growth of the camera's lens", "the lens or the sensor follows the temperature, or warms up", "relative change"
     )
-    course = "warming up"
-    imaged = True
     told_by = "let the camera warm up first, or photograph a target fixed beside it from time to time"
-
-    @classmethod
-    def unfit(cls, robot: Robot, data: Measurements) -> str:
-        """Return what is missing where the rows are not images of one camera."""
-        return several_imaged(data, "camera")
-
-    @classmethod
-    def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
-        """Return growth with the temperature or with a grid of time constants; none for unsuitable data."""
-        return () if cls.lacking(robot, data) else cls._left(robot, data)
 
     @property
     def changes(self) -> list[tuple[str, str, float, str]]:
@@ -140,6 +150,10 @@ class LensGrowth(StandGrowth):
         return [
             (symbol, "1", LENS_SDS[0 if self.constant else 1], f"growth of the {meaning}") for symbol, meaning in LENS
         ]
+
+    def warmth(self, p: ca.SX, row: Row) -> ca.SX:
+        """Return the parameters times the growth of the same camera."""
+        return super().warmth(p, row) * self.mine(row)
 
     def change(self, p: ca.SX, point: ca.SX) -> ca.SX:
         """Return the displacement (3,) of a point in the camera's frame that changes its image alike."""

@@ -7,17 +7,16 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from calflow.effects.base import Effect, Words, several_imaged
-from calflow.measurements.measurements import Measurements
+from calflow.effects.base import Words
+from calflow.effects.of_images import OfImages
 from calflow.robot.mechanism import Row
 from calflow.robot.parts import Parameter
-from calflow.robot.robot import Robot
 
 SD, BOUND = 5e-3, 0.05
 
 
 @dataclass(frozen=True)
-class PrintScale(Effect):
+class PrintScale(OfImages):
     """Target's point times (1 + x, 1 + y, 1).
 
     Its size is y - x, which images determine. The common part of x and y is confounded with a scale of all lengths of robot
@@ -30,13 +29,7 @@ class PrintScale(Effect):
         "print that is longer one way", "the printer stretched the board", "how much longer it is along y than along x"
     )
     whole = "target"
-    imaged = True
     told_by = "measure the print along both directions"
-
-    @classmethod
-    def unfit(cls, robot: Robot, data: Measurements) -> str:
-        """Return what is missing where the images are not of one target."""
-        return several_imaged(data, "target")
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the scale error of each direction."""
@@ -51,4 +44,4 @@ class PrintScale(Effect):
 
     def target(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
         """Return the point, scaled."""
-        return point * ca.vertcat(1 + p[0], 1 + p[1], 1)
+        return point * (1 + self.mine(row) * ca.vertcat(p, 0))

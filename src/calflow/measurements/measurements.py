@@ -129,7 +129,7 @@ class Measurements:
 
     @classmethod
     def _of(cls, robot: Robot, rows: Rows) -> Measurements:
-        return cls(robot, **vars(rows))
+        return numbering_images(cls(robot, **vars(rows)))
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Measurements):
@@ -371,13 +371,13 @@ def combined(parts: Sequence[Measurements]) -> Measurements:
         series=series, units=tuple(sorted({unit for part in parts for unit in part.units})),
         payload_stated=any(part.payload_stated for part in parts),
     )  # fmt: skip
-    return _numbered(made)
+    return numbering_images(made)
 
 
-def _numbered(data: Measurements) -> Measurements:
-    """Return the rows with the numbers of camera and target where all are of images and there are several."""
+def numbering_images(data: Measurements) -> Measurements:
+    """Return the rows with the numbers of camera and target (see `name_number`) where all are of images."""
     names = {number: data.imaged(label) for number, label in NUMBERED.items()} if data.in_images else {}
-    numbers = {number: [*map(name_number, each)] for number, each in names.items() if len(set(each)) > 1}
+    numbers = {number: [*map(name_number, each)] for number, each in names.items()}
     return replace(data, table=data.table.drop(columns=[*NUMBERED], errors="ignore").assign(**numbers))
 
 
@@ -406,7 +406,7 @@ def continued(parts: Sequence[Measurements]) -> Measurements:
     if len(parts) == 1:
         return parts[0]
     whole = combined(parts)
-    return _numbered(replace(whole, table=whole.table.drop(columns="series"), series=parts[0].series))
+    return numbering_images(replace(whole, table=whole.table.drop(columns="series"), series=parts[0].series))
 
 
 def _with_unique_names(tables: Sequence[pd.DataFrame], readings: list[str]) -> list[pd.DataFrame]:

@@ -30,7 +30,7 @@ from calflow.files.tables import NUMBER, changed, unquoted
 from calflow.files.units import LARGEST, SUFFIXES, split_unit, to_si
 from calflow.measurements.cells import EMPTY, MAX_ROWS_TOLD, Dialect, at_rows, read_cells
 from calflow.robot.frames import angles
-from calflow.robot.mechanism import BY_JOINT, NUMBERED, name_number
+from calflow.robot.mechanism import BY_JOINT
 from calflow.robot.robot import Robot
 
 LABELS = ("pose", "repeat", "marker", "payload", "session", "split")
@@ -343,15 +343,11 @@ def layout_of_further(path: Path, layout: Layout) -> Layout:
 
 
 def ordered(table: pd.DataFrame, robot: Robot, in_order: bool) -> tuple[pd.DataFrame, list[str]]:
-    """Return the rows with their position in measuring order, the number of the camera and the target where there are several,
-    and, if in_order, their approach and travel; and notes.
+    """Return the rows with their position in measuring order and, if in_order, their approach and travel; and notes.
 
     If the file has approach columns they stay unchanged, and no travel is added.
     """
     table = table.copy()
-    for name, label in NUMBERED.items():
-        if label in table and table[label].nunique() > 1:
-            table[name] = table[label].astype(str).map(name_number)
     table["order"] = table["time"].rank(method="dense") if "time" in table else np.arange(1.0, len(table) + 1)
     if not in_order:
         return table, []

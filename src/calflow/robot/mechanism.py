@@ -130,9 +130,9 @@ class Row:
     reading: joint readings; q: joint angles (signs and couplings resolved); payload, marker: one-hot over the robot's
     names; approach: direction each joint came from (-1, 0, +1); travel: distance since it last reversed; wrench: force
     and moment at the marker, in the base frame; torque: measured motor torques, which replace the computed ones; time:
-    from the first row; order: position in measuring order; range: distance from the measuring device; session, and
-    camera_number, target_number where there are several: see `name_number`; speed, acceleration: first and second time
-    derivatives of readings, zero if unknown.
+    from the first row; order: position in measuring order; range: distance from the measuring device; session, and of
+    images camera_number, target_number: see `name_number`; speed, acceleration: first and second time derivatives of
+    readings, zero if unknown.
     """
 
     reading: ca.SX

@@ -19,7 +19,7 @@ from calflow.files.problems import InputError, Problem, nearest, refuse, refuse_
 from calflow.files.tables import csv_text
 from calflow.files.words import plural
 from calflow.measurements.cells import read_cells
-from calflow.measurements.measurements import Measurements
+from calflow.measurements.measurements import Measurements, numbering_images
 from calflow.measurements.rows import FRAME, LABELS, Layout, numbered
 from calflow.measurements.source import MeasurementSource, sha256
 from calflow.observations import observation_kinds
@@ -206,7 +206,7 @@ def _rows_of_series(calibration: Calibration, k: int, path: Path) -> Measurement
         layout = replace(layout, columns=columns) if there & set(layout.named) else plain
     measured = plausible(Measurements.from_csv(path, calibration.robot, **vars(layout)), path)
     table = measured.table.assign(series=k) if len(observed) > 1 else measured.table
-    return replace(measured, table=table, series=tuple(observation.series for observation in observed))
+    return numbering_images(replace(measured, table=table, series=tuple(each.series for each in observed)))
 
 
 def _seen(calibration: Calibration, data: Measurements, path: Path) -> tuple[str, ...]:
