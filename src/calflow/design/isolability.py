@@ -17,7 +17,7 @@ import numpy as np
 
 from calflow.design.discrimination import ANY_MEANS, ENOUGH
 from calflow.design.measuring_order import reached
-from calflow.design.planned import Planned, Record
+from calflow.design.planned import Planned, RecordedCondition
 from calflow.diagnosis import FALSE_ALARM
 from calflow.diagnosis.regressors import Candidate, H, Place, Regressors, TallMatrix, candidates_of
 from calflow.diagnosis.screening import Catalogue, Family, Screening
@@ -32,7 +32,7 @@ from calflow.measurements.measurements import Measurements
 from calflow.model import Model, stated
 from calflow.robot.robot import Robot
 
-RECORDS: dict[Record, str] = {
+RECORDS: dict[RecordedCondition, str] = {
     "approach": "each joint's direction of approach recorded",
     "travel": "each joint's travel since its last reversal recorded",
     "time": "the time of each row recorded",
@@ -57,7 +57,7 @@ class MeasuringPlan:
     readings: np.ndarray
     payloads: tuple[str, ...]
     markers: tuple[str, ...]
-    records: frozenset[Record] = frozenset()
+    records: frozenset[RecordedCondition] = frozenset()
     vias: np.ndarray | None = None
 
     def measurements(self) -> Measurements:

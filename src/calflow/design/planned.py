@@ -35,7 +35,7 @@ from calflow.robot.robot import Robot
 Aim = Literal["parameters", "tool", "worst"]  # whose variance is minimised
 Measure = Literal["rms", "worst"]  # of the tool's error over the task
 Order = Literal["short", "random"]  # in which poses are measured
-Record = Literal["approach", "travel", "time", "temperature"]  # conditions recorded besides joint readings
+RecordedCondition = Literal["approach", "travel", "time", "temperature"]  # besides joint readings
 USUAL_DRIFT = 5e-5  # m: of a laser tracker in an afternoon
 USUAL_SIGMA = 5e-5  # m, of a laser tracker on a large robot
 USUAL_TURNING_SIGMA = 1e-4  # rad, of its orientations

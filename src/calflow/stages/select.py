@@ -18,7 +18,7 @@ from calflow.design.isolability import (
     isolability_summary,
 )
 from calflow.design.measuring_order import DriftPull, drift_words, sides_words
-from calflow.design.planned import USUAL_TURNING_SIGMA, Planned, Record, SelectionRequest, Task, stated_poses
+from calflow.design.planned import USUAL_TURNING_SIGMA, Planned, RecordedCondition, SelectionRequest, Task, stated_poses
 from calflow.design.selection import Certificate, Observability, PlannedPose, Selection, select
 from calflow.design.worth import HowMany, Worth, worth_words
 from calflow.diagnosis import FALSE_ALARM
@@ -39,7 +39,7 @@ from calflow.stages.settings import SelectSettings
 from calflow.stages.stage import Context, Stage
 from calflow.study import Study
 
-SIDES: frozenset[Record] = frozenset({"approach", "travel"})  # conditions determined by via points
+SIDES: frozenset[RecordedCondition] = frozenset({"approach", "travel"})  # conditions determined by via points
 MOST_GAPS = 5  # most gaps reported in words
 
 

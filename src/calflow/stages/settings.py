@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 from pydantic.json_schema import SkipJsonSchema
 
 from calflow.design.cell import Cell
-from calflow.design.planned import USUAL_DRIFT, Aim, Order, Record
+from calflow.design.planned import USUAL_DRIFT, Aim, Order, RecordedCondition
 from calflow.diagnosis import FALSE_ALARM
 from calflow.estimation.least_squares import Loss
 from calflow.estimation.noise import NoiseSource
@@ -139,7 +139,7 @@ class SelectSettings(RegionSettings):
     isolability_size: float = Field(
         default=1.0, gt=0, description="size of these causes, in standard deviations of their priors"
     )
-    records: tuple[Record, ...] = Field(
+    records: tuple[RecordedCondition, ...] = Field(
         default=("approach",),
         description="what will be recorded in each row besides joint readings: `approach`, `travel`, `time`, `temperature`; for "
         "`isolability`",
