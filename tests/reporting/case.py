@@ -187,7 +187,8 @@ def with_diagnosis(given: Context, *found: Found, poses: int = 5) -> Context:
              "symbol": parameter.symbol, "unit": parameter.unit, "nominal": 0.0,
              "estimate": one.estimate, "sd": one.sd, "lower": parameter.lower, "upper": parameter.upper, "at_bound": False,
              "fixed": False, "joint": parameter.joint or None, "prior_share": 0.01,
-             "figure": 0.0, "calibrated": one.estimate, "meaning": parameter.meaning}
+             "figure": 0.0, "calibrated": one.estimate, "meaning": parameter.meaning,
+             "of_size": parameter.of_size}
             for one, cause in fitted.values() for parameter in cause.declared
         ]
     )  # fmt: skip

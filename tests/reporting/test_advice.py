@@ -104,7 +104,7 @@ def parameter_table(**changed: object) -> pd.DataFrame:
     row = {"parameter": "joint2.a", "effect": "geometry", "variant": float("nan"), "part": "joint2", "symbol": "a",
            "joint": 2, "unit": "m", "nominal": 0.0, "estimate": 0.02, "sd": 1e-5,
            "lower": -0.02, "upper": 0.02, "prior_mean": 0.0, "prior_sd": 0.01, "at_bound": False, "fixed": False,
-           "prior_share": 0.01, "figure": 0.0, "calibrated": 0.02, "meaning": ""}  # fmt: skip
+           "prior_share": 0.01, "figure": 0.0, "calibrated": 0.02, "meaning": "", "of_size": False}  # fmt: skip
     return pd.DataFrame([row | changed])
 
 
@@ -295,7 +295,7 @@ SPEAKS: list[tuple[Rule, Mapping[str, object], int, str]] = [
      {"identify/parameters.csv": parameter_table(estimate=2e-3, prior_mean=3e-4, prior_sd=2e-4, meaning="zero of joint 4")}, 2,
      "contradict what robot file or study expects of zero of joint 4"),
     (ranked.size_unlike_stated,
-     {"identify/parameters.csv": parameter_table(parameter="target.scale", effect="camera", symbol="scale", estimate=-0.0197,
+     {"identify/parameters.csv": parameter_table(parameter="target.scale", effect="camera", of_size=True, estimate=-0.0197,
                                                  sd=0.0032, prior_sd=UNKNOWN_SIZE_SD)}, 2,
      "The board is 2 % smaller than stated (± 0.3 %)"),
     (ranked.board_as_stated, {"identify/in_space.csv": in_space(0.2, 0.3, 0.4)}, 3, "and no image shows that. Measure it"),
@@ -480,11 +480,11 @@ def test_every_rule_is_tested() -> None:
         (ranked.unlike_expected, {"identify/parameters.csv": parameter_table(estimate=9e-4, prior_mean=3e-4, prior_sd=2e-4)}),
         (ranked.unlike_expected, {"identify/parameters.csv": parameter_table(estimate=9e-3, prior_sd=1e-4)}),  # nobody stated it
         (ranked.size_unlike_stated,
-         {"identify/parameters.csv": parameter_table(parameter="target.scale", effect="camera", symbol="scale",
+         {"identify/parameters.csv": parameter_table(parameter="target.scale", effect="camera", of_size=True,
                                                      estimate=-4e-4, prior_sd=5e-4)}),
         (ranked.board_as_stated,
          {"identify/in_space.csv": in_space(0.2, 0.3, 0.4),
-          "identify/parameters.csv": parameter_table(parameter="target.scale", effect="camera", symbol="scale")}),
+          "identify/parameters.csv": parameter_table(parameter="target.scale", effect="camera", of_size=True)}),
         (ranked.board_as_stated, {"identify/in_space.csv": in_space(0.2, 0.3, 0.4), **summary(new_poses_mm=0.05)}),  # a tracker too
         (ranked.board_as_stated, {}),
         (ranked.second_marker, {"identify/identifiability.csv": statements(("trade", "joint6.d;A.z;B.z")),

@@ -173,6 +173,7 @@ UNTOLD = {
     "figure": 0.0,
     "calibrated": 0.0,
     "meaning": "",
+    "of_size": False,
 }
 
 

@@ -53,6 +53,7 @@ class FittedParameter:
     figure: float = column("the maker's figure, to which the parameter's value is added", UNIT)
     calibrated: float = column("figure + estimate", UNIT, sd="sd")
     meaning: str = column("its meaning in words")
+    of_size: bool = column("whether it is the relative error of the size of what is measured, such as a board's")
 
     @property
     def name(self) -> str:
@@ -84,6 +85,7 @@ class FittedParameter:
             estimate=value, sd=np.nan if parameter.held is None else 0.0, lower=parameter.lower, upper=parameter.upper,
             prior_mean=parameter.prior_mean, prior_sd=parameter.prior_sd, at_bound=False, fixed=parameter.held is not None,
             prior_share=1.0, figure=parameter.figure, calibrated=parameter.figure + value, meaning=parameter.meaning,
+            of_size=parameter.of_size,
         )  # fmt: skip
 
     def as_parameter(self) -> Parameter:
@@ -92,6 +94,7 @@ class FittedParameter:
         return Parameter(
             self.effect, self.part, self.symbol, self.unit, self.prior_sd, self.lower, self.upper, self.nominal, self.figure,
             self.meaning, self.joint or 0, self.variant, tag, self.prior_mean, self.estimate if self.fixed else None,
+            self.of_size,
         )  # fmt: skip
 
 

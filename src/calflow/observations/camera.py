@@ -39,7 +39,6 @@ PixelPair = Annotated[tuple[float, float], Unit("image")]
 WORLD, TOOL = "world", "tool"  # what is no link that a robot names
 FOCAL_SD, CENTRE_SD = 0.2, 0.1  # of the focal length: of a lens that nobody knows
 DISTORTION_SD = {"k": 0.3, "p": 0.02}  # by the first letter of a coefficient
-PRINT_SCALE = "scale"  # symbol of the error of a printed target's size
 LENS_SETTINGS = ("focal", "centre", "distortion")
 STATED_LENS = 0.02  # of those: what a lens is usually off from what is stated, where nobody says by how much
 USUAL_FOCAL = 1.2  # of an image's width
@@ -204,7 +203,7 @@ class Camera(Observation):
         for target in self.targets:
             part = "-".join(filter(None, (self.series.name, "target", target.name)))
             sd = self.series.number(self.size_setting) or 0.0
-            size = self._error(part, PRINT_SCALE, "1", sd, FURTHEST * sd, 0.0, "scale of the print")
+            size = self._error(part, "scale", "1", sd, FURTHEST * sd, 0.0, "scale of the print")
             yield *self._place(part, "target", target.place), size and replace(size, of_size=True)
 
     def _place(self, part: str, what: str, nominal: Six) -> list[Parameter | None]:

@@ -47,7 +47,7 @@ from calflow.files.words import (
     readable,
 )
 from calflow.observations.base import UNKNOWN_SIZE_SD
-from calflow.observations.camera import PRINT_SCALE, Camera
+from calflow.observations.camera import Camera
 from calflow.sampling.posterior import ChainSummary
 from calflow.sampling.task_points import LIKELY, TaskSummary
 
@@ -484,7 +484,7 @@ def deviation(row: FittedParameter) -> str:
 def size_unlike_stated(outcome: RunOutcome) -> Iterator[Advice]:
     """A board or plate whose stated size the robot's lengths contradict was not made, or not measured, as it is said to be."""
     for row in outcome.identified_parameters:
-        if row.symbol == PRINT_SCALE and row.prior_sd >= UNKNOWN_SIZE_SD:
+        if row.of_size and row.prior_sd >= UNKNOWN_SIZE_SD:
             what = "The board is" if row.effect == Camera.id else "The artefact is"
             sentence = (
                 f"{what} {100 * abs(row.estimate):.2g} % {'smaller' if row.estimate < 0 else 'larger'} than stated (± "
@@ -507,8 +507,8 @@ def board_as_stated(outcome: RunOutcome) -> Iterator[Advice]:
 
 def size_is_assumed(outcome: RunOutcome) -> bool:
     """Whether images alone were measured, of a board whose size counts as exact: expected errors lack that of its size."""
-    of_print = [row for row in outcome.identified_parameters if row.effect == Camera.id and row.symbol == PRINT_SCALE]
-    return bool(outcome.in_space) and outcome.fit_summary.new_poses_mm is None and not of_print
+    known = not any(row.of_size for row in outcome.identified_parameters)
+    return bool(outcome.in_space) and outcome.fit_summary.new_poses_mm is None and known
 
 
 def meant(row: FittedParameter) -> str:
