@@ -19,7 +19,6 @@ MOST_ROUNDS = 60
 MULTIPLICATIVE_STEPS = 200  # of the multiplicative algorithm in a round
 FIRST, ADDED = 500, 300  # candidates in the first round, and those added in each further round
 NEGLIGIBLE = 1e-5  # weight below which a pose is dropped from the design
-BLOCK_CANDIDATES = 4096  # candidates per block
 SHORTLIST = 2000  # candidates of largest sensitivity, from which exact designs are chosen
 STARTS = 8  # largest number of roundings of the relaxed design
 GOOD_GAP = 2e-3  # relative gap to the bound at which rounding ends
@@ -101,13 +100,8 @@ def _rounds(
 
 
 def sensitivities(jacobians: np.ndarray, slope: np.ndarray) -> np.ndarray:
-    """Return |J F|² of each candidate, shape (n_candidates,), in blocks that fit into the processor's cache."""
-    values = np.empty(len(jacobians))
-    for start in range(0, len(jacobians), BLOCK_CANDIDATES):
-        part = jacobians[start : start + BLOCK_CANDIDATES]
-        moved = part.reshape(-1, part.shape[2]) @ slope
-        values[start : start + BLOCK_CANDIDATES] = (moved.reshape(len(part), -1) ** 2).sum(axis=1)
-    return values
+    """Return |J F|² of each candidate, shape (n_candidates,)."""
+    return np.asarray(((jacobians @ slope) ** 2).sum(axis=(1, 2)))
 
 
 def _optimised(
@@ -275,7 +269,4 @@ def updated(basis: np.ndarray, pose: np.ndarray, gain: np.ndarray, sign: int) ->
     """Return the basis after adding (+1) or removing (-1) a pose (n_axes, n_parameters), by Woodbury's formula."""
     n = pose.shape[1]
     inner = np.linalg.solve(np.eye(len(pose)) + sign * gain[:, :n] @ pose.T, gain)
-    flat = basis.reshape(-1, basis.shape[2])  # one product of large matrices instead of one per candidate
-    change = (flat[:, :n] @ pose.T) @ (-sign * inner)
-    change += flat
-    return np.asarray(change.reshape(basis.shape))
+    return np.asarray(basis - sign * (basis[:, :, :n] @ pose.T) @ inner)
