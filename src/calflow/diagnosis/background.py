@@ -64,9 +64,9 @@ class Field(SmoothFunction):
         return np.full(len(self.declared), (USUAL * self.n_waves) ** -0.5)
 
     @property
-    def n_amplitudes(self) -> int:
-        """Number of amplitudes: of cosines, then sines, along each axis."""
-        return 6 * self.n_waves
+    def units(self) -> Sequence[str]:
+        """Those of cosines, then sines, along each axis."""
+        return 6 * self.n_waves * ["m"]
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
         """Return the deflection with the arm shifted, if there is only one."""

@@ -243,7 +243,7 @@ class Oscillation(SmoothFunction):
     rate: float = 1.0  # rad/s
 
     inputs = ("time",)
-    n_amplitudes = 6
+    units = 6 * ("m",)
 
     @property
     def detail(self) -> str:

@@ -91,7 +91,7 @@ class Cooling(SmoothFunction):
     end: float = 0.0
 
     inputs = ("time",)
-    n_amplitudes, amplitude = 1, ("1", 1.0)
+    units, usual = ("1",), 1.0
 
     @cached_property
     def cause(self) -> Cause:

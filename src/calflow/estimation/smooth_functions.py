@@ -52,7 +52,7 @@ class SmoothFunction(Effect):
 
     id: ClassVar[str] = "unexplained"
     title: ClassVar[str] = "unexplained"
-    amplitude: ClassVar[tuple[str, float]] = ("m", SIZE)  # unit and usual standard deviation of an amplitude
+    usual: ClassVar[float] = SIZE  # standard deviation of an amplitude
     of_images: ClassVar[bool] = False  # whether it is an error of a camera or its target, not of the robot's position
 
     @property
@@ -66,19 +66,16 @@ class SmoothFunction(Effect):
         return np.ones(len(self.declared))
 
     @property
-    def n_amplitudes(self) -> int:
-        """Number of its amplitudes, all of one unit."""
-        raise NotImplementedError
-
-    @property
     def units(self) -> Sequence[str]:
         """Units of its amplitudes."""
-        return [self.amplitude[0]] * self.n_amplitudes
+        raise NotImplementedError
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the amplitudes, numbered."""
-        kind, sd = type(self).__name__, self.amplitude[1]
-        return tuple(Parameter(self.id, kind, str(k + 1), unit, sd, -1.0, 1.0) for k, unit in enumerate(self.units))
+        kind = type(self).__name__
+        return tuple(
+            Parameter(self.id, kind, str(k), unit, self.usual, -1.0, 1.0) for k, unit in enumerate(self.units, start=1)
+        )
 
 
 @dataclass(frozen=True)
@@ -160,9 +157,9 @@ class Shift(OfJoints):
     """A shift of the reported point as such a function."""
 
     @property
-    def n_amplitudes(self) -> int:
-        """Number of waves along all three axes."""
-        return 3 * len(self._sizes)
+    def units(self) -> Sequence[str]:
+        """Those of the waves along all three axes."""
+        return 3 * len(self._sizes) * ["m"]
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
         """Return the shifted point."""
@@ -172,7 +169,7 @@ class Shift(OfJoints):
 class LinkLengths(SmoothFunction):
     """A relative elongation of all links."""
 
-    n_amplitudes, amplitude = 1, ("1", GROWTH_SD)
+    units, usual = ("1",), GROWTH_SD
 
     def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
         """Return the lengthened links."""
@@ -325,7 +322,7 @@ class InPlace(SmoothFunction):
     reach: float = 1.0
 
     inputs = ("x", "y", "z")
-    n_amplitudes = 3 * len(_IN_PLACE)
+    units = 3 * len(_IN_PLACE) * ("m",)
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
         """Return the shifted point."""
@@ -343,7 +340,7 @@ class InImage(SmoothFunction):
 
     of_images = True
     inputs = ("image",)
-    n_amplitudes, amplitude = 2 * len(_IN_IMAGE), ("1", LENS_SIZE)
+    units, usual = 2 * len(_IN_IMAGE) * ("1",), LENS_SIZE
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
         """Return the point on the deflected line of sight."""
@@ -358,7 +355,7 @@ class OnTarget(SmoothFunction):
 
     of_images = True
     inputs = ("target",)
-    n_amplitudes = 6
+    units = 6 * ("m",)
 
     def target(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
         """Return the shifted point."""
