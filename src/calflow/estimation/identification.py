@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
@@ -156,7 +156,9 @@ def fit_effects(
         name = " + ".join(effect_ids(effects[:k]))
         say(f"{name}: {len(model.parameters)} parameters, {len(train)} rows")
         if k == len(effects):
-            model = without_mistaken(without_wrong_size(model, part, noise_of_part, say), part, noise_of_part, say)
+            few = representative(part, START_ROWS)
+            at_few = partial(LeastSquares.of, data=part.only(few), noise=noise_of_part.only(few))
+            model = without_mistaken(without_wrong_size(model, at_few, say), at_few, say)
         points = draw_starts(model, starts, rng("starts"))
         result, reweighted, lack, agree = fit_sharing(model, part, noise_of_part, points, loss)
         if k == len(effects):
@@ -197,7 +199,7 @@ def too_few_equations(model: Model, train: Measurements) -> str:
             f"{wanted} training poses, better twice as many")  # fmt: skip
 
 
-def without_wrong_size(model: Model, train: Measurements, noise: Noise, say: Say = nobody) -> Model:
+def without_wrong_size(model: Model, at_rows: Callable[[Model], LeastSquares], say: Say = nobody) -> Model:
     """Return the model in which the size of boards and plates counts as unknown, if the robot's lengths contradict it.
 
     What is smaller than stated makes all lengths too long by the same share. Lengths of a robot do not err so: their errors, in
@@ -210,11 +212,10 @@ def without_wrong_size(model: Model, train: Measurements, noise: Noise, say: Say
     other = build(model.robot, model.effects, model.given, observed)
     stated = {parameter.name: parameter.prior_sd for parameter in model.parameters}
     costs = 2 * sum(np.log(p.prior_sd / stated.get(p.name, USUAL_SIZE_SD)) for p in other.parameters)
-    some = representative(train, START_ROWS)
-    before, error, weight = _lengths(fit(LeastSquares.of(model, train.only(some), noise.only(some)))[0])
+    before, error, weight = _lengths(fit(at_rows(model))[0])
     if (error**2).sum() < costs:
         return model
-    after, error_after, _ = _lengths(fit(LeastSquares.of(other, train.only(some), noise.only(some)))[0])
+    after, error_after, _ = _lengths(fit(at_rows(other))[0])
     left, freedom = (error_after**2).sum(), weight.sum() - 1
     falls = (error**2).sum() - left
     if (
@@ -235,19 +236,17 @@ def _lengths(result: Fit) -> tuple[Fit, np.ndarray, np.ndarray]:
     return result, error[own], share[own]
 
 
-def without_mistaken(model: Model, train: Measurements, noise: Noise, say: Say = nobody) -> Model:
+def without_mistaken(model: Model, at_rows: Callable[[Model], LeastSquares], say: Say = nobody) -> Model:
     """Return the model in which no figure of a kind counts as stated that the rows contradict in one joint.
 
     A figure at the end of what a maker's robot is off bends all others, and what these cannot follow looks like a cause. It is
     judged by the device's noise, since beside a discrepancy the priors win. Not counting the figures must make the errors likelier
     by more than their wider priors cost.
     """
-    some = representative(train, START_ROWS)
-    train, noise = train.only(some), noise.only(some)
-    result, _ = fit(LeastSquares.of(model, train, noise))
+    result, _ = fit(at_rows(model))
     while (freed := _freed(result)) != model.effects:
         other = build(model.robot, freed, model.given, model.observations)
-        wider, _ = fit(LeastSquares.of(other, train, noise))
+        wider, _ = fit(at_rows(other))
         gain = len(result.residual) * np.log((result.residual**2).sum() / (wider.residual**2).sum())
         if gain < 2 * np.log(other.prior_sd / model.prior_sd).sum():
             break
