@@ -211,8 +211,7 @@ class CalibratedModel:
         if self.field:
             return np.asarray(of_choice + self.parameter_variance(conditions, places) + self.left_variance(conditions))
         every = (self.errors.slopes(*self._fitted, *part) for part in _parts(conditions, places))
-        smooth = [(self.errors.shared(slopes, self.covariance) ** 2).sum(axis=2) for slopes in every]
-        return of_choice + np.concatenate(smooth) + self.errors.rest[METRE] ** 2
+        return of_choice + self._variances(every, METRE)[0]
 
     def shared_errors(self, conditions: np.ndarray, places: np.ndarray | None = None) -> np.ndarray:
         """Return the errors that rows share, as factors (n_rows, 3, n) [m] of n independent standard normals.
