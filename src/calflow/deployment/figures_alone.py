@@ -20,21 +20,13 @@ from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.fit import fit_sharing
 from calflow.estimation.noise import PerUnit, representative
 from calflow.estimation.parameters import FittedParameter, Parameters
+from calflow.estimation.probing import stacked
 from calflow.files.tables import Results, column, to_frame
 from calflow.files.words import mm
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 from calflow.observations import leading_units
-from calflow.robot.mechanism import (
-    OPTIONAL,
-    Deflection,
-    Dimensions,
-    Loads,
-    Row,
-    State,
-    nominal_dimensions,
-    nominal_loads,
-)
+from calflow.robot.mechanism import OPTIONAL, Deflection, Row, State, nominal_dimensions, nominal_loads
 from calflow.robot.parts import Expected
 
 LEVELS, FIGURES = "levels_of_effort.csv", "figures.csv"  # of a stage
@@ -234,16 +226,12 @@ def is_of_figures(effect: Effect) -> bool:
     robot, p = effect.robot, ca.SX.sym("p", len(effect.declared))
     conditions = ca.SX.sym("c", sum(Row.sizes(robot, OPTIONAL).values()))
     row, state = Row.unpack(robot, conditions, OPTIONAL), State.symbols(robot)
-    dims = _packed(effect.dimensions(p, nominal_dimensions(robot), row))
+    dims = stacked(effect.dimensions(p, nominal_dimensions(robot), row))
     moves = effect.deflection(p, state, row, Deflection.zero(robot.n_joints))
     torque = ca.sparsify(ca.SX(effect.torque(p, state, row)))
-    loads = _packed(effect.loads(p, nominal_loads(robot), row))
+    loads = stacked(effect.loads(p, nominal_loads(robot), row))
     elsewhere = not moves.is_zero or torque.nnz() > 0 or ca.depends_on(loads, p)
     return bool(ca.depends_on(dims, p) and not ca.depends_on(dims, conditions) and not elsewhere)
-
-
-def _packed(parts: Dimensions | Loads) -> ca.SX:
-    return ca.vertcat(*(ca.vec(ca.SX(part)) for part in vars(parts).values()))
 
 
 def _with_device(model: Model, estimate: np.ndarray) -> np.ndarray:

@@ -68,11 +68,11 @@ class Levers(Effect):
 
     def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
         """Add to the dimensions."""
-        return _unpacked(dims, _packed(dims) + _packed(self._added(p).dims))
+        return _unpacked(dims, stacked(dims) + stacked(self._added(p).dims))
 
     def loads(self, p: ca.SX, loads: Loads, row: Row) -> Loads:
         """Add to the masses."""
-        return _unpacked(loads, _packed(loads) + _packed(self._added(p).loads))
+        return _unpacked(loads, stacked(loads) + stacked(self._added(p).loads))
 
     def torque(self, p: ca.SX, state: State, row: Row) -> ca.SX | float:
         """Add to the torques."""
@@ -228,7 +228,7 @@ def _graph(block: SeriesBlock, moved: SeriesBlock) -> ca.Function | None:
         return None
     p, _, predicted = moved.model.symbols
     points = (seen[0] if seen else ca.SX(3, 1) for seen in asked)
-    state = _packed((predicted.dims, predicted.loads, predicted.state, *points))
+    state = stacked((predicted.dims, predicted.loads, predicted.state, *points))
     residual, state = ca.cse([residual, state])  # a third of the operations are duplicates
     outputs = [residual, ca.jacobian(residual, p).T, state]
     (probe,) = moved.model.probes
@@ -272,9 +272,9 @@ def _members(parts: Any) -> list[Any]:
     return list(parts) if isinstance(parts, tuple) else [getattr(parts, field.name) for field in fields(parts)]
 
 
-def _packed(parts: Any) -> ca.SX:
+def stacked(parts: Any) -> ca.SX:
     """Return all quantities of parts, stacked in one column."""
-    return ca.densify(ca.vec(parts)) if isinstance(parts, ca.SX) else ca.vertcat(*map(_packed, _members(parts)))
+    return ca.densify(ca.vec(parts)) if isinstance(parts, ca.SX) else ca.vertcat(*map(stacked, _members(parts)))
 
 
 def _width(parts: Any) -> int:
