@@ -11,7 +11,7 @@ from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.noise_model import noise_of_residuals
 from calflow.diagnosis.screening import by_place
 from calflow.diagnosis.trial import Linearisation
-from calflow.diagnosis.unexplained import SUSPECTED, UnexplainedStructure, suspected, unexplained
+from calflow.diagnosis.unexplained import SUSPECTED, Oscillation, UnexplainedStructure, decoys, suspected, unexplained
 from calflow.effects import catalogue
 from calflow.estimation.fit import fit_reweighted
 from calflow.model import build
@@ -19,13 +19,13 @@ from estimation.data import SIGMA, measured, stated
 from robots import industrial
 
 
-def fitted(shift=None, seed=8, poses=100, sigma=None):
+def fitted(shift=None, seed=8, poses=100, sigma=None, uneven=10.0):
     """A robot whose points are shifted by a function of its table, geometry fitted."""
     robot = industrial()
     model = build(robot, ("geometry",))
     rng = np.random.default_rng(seed)
     data = measured(model, model.nominal, poses, rng, sigma=SIGMA if sigma is None else 0.0)
-    data.table["time"] = np.cumsum(rng.uniform(20, 40, poses))
+    data.table["time"] = np.cumsum(rng.uniform(30 - uneven, 30 + uneven, poses))
     data.table["range"] = np.linalg.norm(data.position - np.array([4.0, 0.0, 0.0]), axis=1)
     if sigma is not None:
         data.table[["x", "y", "z"]] += sigma(data.table["range"].to_numpy())[:, None] * rng.standard_normal((poses, 3))
@@ -55,6 +55,17 @@ def test_structure_is_told_with_its_inputs(shift, inputs):
     left = unexplained(fitted(shift), 0.01, np.random.default_rng(1), lambda _: None)
     assert left
     assert inputs <= set(left[0].inputs)
+
+
+def test_a_slow_drift_is_no_wave_between_two_poses():
+    """Breaks if, of waves that nearly even times do not distinguish, another than the slowest is told."""
+    drift = fitted(lambda t: 3e-4 * np.outer(t["time"] / t["time"].max(), [0, 0, 1]), uneven=0.1)
+    left = unexplained(drift, 0.01, np.random.default_rng(1), lambda _: None)
+    waves = [part.effect for part in left[0].functions if isinstance(part.effect, Oscillation)]
+    assert waves
+    assert all(
+        2 * np.pi / wave.rate > 59 for wave in [*waves, *(d for d in decoys(drift) if isinstance(d, Oscillation))]
+    )
 
 
 def test_a_step_of_several_joints_is_told_from_its_row_on():

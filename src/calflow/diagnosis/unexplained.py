@@ -59,6 +59,8 @@ MOMENTS = 20  # parts of the rows, between which a slip may have occurred
 FREQUENCIES = 800  # of a disturbance in time, at most
 # Highest frequency, in cycles per pose: uneven times resolve more than one cycle between poses (Lomb 1976).
 FASTEST = 2.0
+RESOLUTION = 32  # parts of the mean time between poses in which times are told apart
+FORGOTTEN, RECURRED = 0.5, 0.9  # spectral window below which two rates differ, and above which they look alike again
 MOST_POSES = 200  # poses at which the errors of standstills are estimated
 INTERVAL = (0.975, 0.025)
 
@@ -275,12 +277,25 @@ def decoys(fitted: Fitted) -> list[SmoothFunction]:
 
 
 def _rates(time: np.ndarray) -> np.ndarray:
-    """Return angular frequencies from one cycle per session to the highest, half a cycle apart."""
-    span = float(np.ptp(time))
+    """Return angular frequencies from one cycle per session to the highest that these times resolve, half a cycle apart."""
+    span, time = float(np.ptp(time)), np.unique(time)
     if span <= 0:
         return np.array([])
-    turns = FASTEST * len(np.unique(time))
+    turns = min(FASTEST * len(time), _resolved((time - time[0]) / span))
     return 2 * np.pi / span * np.linspace(1.0, turns, min(FREQUENCIES, int(2 * turns)))
+
+
+def _resolved(time: np.ndarray) -> float:
+    """Return the most cycles between the times 0 and 1 that these times (n,) tell from fewer: half of those at which they recur.
+
+    At even times a wave looks like its slower alias: a drift over hours like a wave of the time between two poses.
+    """
+    parts = RESOLUTION * len(time)
+    counts = np.bincount(np.rint(parts * time).astype(int), minlength=2 * parts)
+    window = np.abs(np.fft.rfft(counts)) / len(time)  # at every half cycle
+    lobe = np.append(np.flatnonzero(window < FORGOTTEN), len(window))[0]
+    recurring = np.flatnonzero(window[lobe:] > RECURRED)
+    return float(lobe + recurring[0]) / 4 if len(recurring) else np.inf
 
 
 @dataclass(frozen=True, eq=False)
