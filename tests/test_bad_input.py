@@ -437,6 +437,16 @@ def test_fewer_equations_than_parameters_are_refused(small):
     assert not list((small / "runs" / "identify").glob("*"))
 
 
+def test_a_run_refused_at_its_first_stage_leaves_no_run(small):
+    """Fails if a folder looks like a run of a study of which nothing was made, or loses what else lies in it."""
+    small.measure(small.rows[:12])
+    (small / "runs" / "inputs").mkdir(parents=True)
+    (small / "runs" / "inputs" / "mine.txt").write_text("kept", encoding="utf-8")
+    small.refused("run", "--stage", "identify")
+    left = {path.name for path in (small / "runs").rglob("*") if path.is_file()}
+    assert left == {"mine.txt", ".lock"}
+
+
 def test_a_loop_that_cannot_be_closed_is_told_row_by_row(looped):
     """Fails if a pose where the four bars do not meet is fitted, or a good one is refused."""
     looped.edit("robot.toml", ("[loop.rod]\nlength_m = 1.6", "[loop.rod]\nlength_m = 1.2"))

@@ -9,9 +9,11 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
+from calflow.calibration import identify
 from calflow.diagnosis.screening import Catalogue
 from calflow.effects.camera_slip import CameraSlip
 from calflow.measurements.measurements import Measurements, combined
+from calflow.reporting.sections.verdict import how_sure
 from conftest import in_process
 from observations.photographed import IN_HAND, ON_TABLE, UR5E, Arm, Photographs, board, frame, photographed
 from observations.test_camera import study
@@ -115,6 +117,19 @@ def test_a_slip_is_between_images(tmp_path):
     variants = CameraSlip.variants(data.robot, data)
     reached = {one.moment for slip in variants for one in (slip, *slip.finer(data))}
     assert reached == {*(last[2:-3] + 0.5)}
+
+
+def test_images_that_may_be_before_a_slip_are_judged_nowhere(tmp_path):
+    """Fails if held-out images count, in space or on page one, of which no fitted one tells whether the camera had slipped."""
+    made = slipped(4, camera=SLIP)
+    held = made.rows["pose"].isin([3, 8, 12, 13, 14, 15, 18])
+    rows = made.rows.assign(split=np.where(held, "holdout", "train"))
+    kept = study(tmp_path, replace(made, rows=rows), "ur5e", True)
+    found = identify(kept.robot, kept.measurements(), ["geometry"], starts=1).diagnose(catalogue=["camera-slip"])
+    assert [finding.cause for finding in found.findings] == ["camera-slip"]
+    assert [row.n for row in found.in_space if row.where == "holdout"] == [3, 3]
+    said = dict(how_sure(found.material()))["Errors:"]
+    assert "at the 3 held-out poses (4 more may be before a step, and are not judged)" in said
 
 
 def test_no_cause_of_a_device_that_was_not_used_counts_as_untested(tmp_path):

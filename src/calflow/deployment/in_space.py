@@ -161,7 +161,11 @@ def _untaught(errors: np.ndarray, taught: np.ndarray) -> np.ndarray:
 def space_rows(
     calibrated: CalibratedModel, data: Measurements, rng: np.random.Generator, name: str
 ) -> list[SpaceError]:
-    """Return errors in space of hand-eye calibration alone and of a calibrated model; none without images."""
+    """Return errors in space of hand-eye calibration alone and of a calibrated model; none without images.
+
+    Images of which the fit does not tell whether they are before a step are left out.
+    """
+    data = data.only(~calibrated.model.undecided(data))
     nominal = Model(calibrated.model.robot, (), data.given, calibrated.model.observations)
     measured = image_errors(nominal, nominal.nominal, data, ALONE)
     if not measured:

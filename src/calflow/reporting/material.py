@@ -128,6 +128,12 @@ class Material(RunOutcome):
         return np.where(self._undecided[:, None], np.nan, values)
 
     @cached_property
+    def untold(self) -> int:
+        """Number of held-out poses of which the fit does not tell whether they are before a step, so that none is judged."""
+        held = pd.Series(self._undecided[self.held])
+        return int(held.groupby(self.data.table["pose"].to_numpy()[self.held]).all().sum())
+
+    @cached_property
     def _undecided(self) -> np.ndarray:
         """Mask of the rows of which the fit does not tell whether they are before a step, (n_rows,)."""
         return self.calibrated.model.undecided(self.data)

@@ -20,10 +20,13 @@ from typing import Any, Protocol
 from calflow.deployment.run_outcome import RunOutcome
 from calflow.estimation.progress import onward
 from calflow.files.data_package import DATA_PACKAGE
+from calflow.files.problems import InputError
 from calflow.files.tables import Documents, Results, write_results
 from calflow.files.writing import PART, inside, write_whole
 from calflow.measurements.source import fetch, sha256
 from calflow.run_folder import (
+    INPUTS,
+    NAME,
     KeptFile,
     StageEntry,
     default_folder,
@@ -307,21 +310,37 @@ def run(
             else:
                 listener.start(step.stage, step.reason)
                 started = time.monotonic()
-                execute(study, folder, step, settings[step.stage.name], results, listener)
+                try:
+                    execute(study, folder, step, settings[step.stage.name], results, listener)
+                except InputError:
+                    if planned is None and step is steps[0]:
+                        _clear_of_refused(study, folder)
+                    raise
                 listener.finish(step.stage, time.monotonic() - started)
             results |= read_results(manifest_of(folder), folder, step.stage.name)
     return Run(results, folder)
 
 
+def _clear_of_refused(study: Study, folder: Path) -> None:
+    """Remove what a run wrote whose first stage refused its input: nothing was made of the study that it would document."""
+    shutil.rmtree(inside(folder, PARTIAL))
+    for name in (NAME, *_kept_inputs(study)):
+        inside(folder, name).unlink()
+    with suppress(OSError):  # it holds other files
+        inside(folder, INPUTS).rmdir()
+
+
 def _keep_inputs(study: Study, folder: Path) -> None:
     """Copy study, robot and workflow files, so that the run folder alone documents the run and can predict."""
-    for part in (*folder.glob(f".*{PART}"), *inside(folder, "inputs").glob(f".*{PART}")):  # left by a killed run
+    for part in (*folder.glob(f".*{PART}"), *inside(folder, INPUTS).glob(f".*{PART}")):  # left by a killed run
         part.unlink()
+    for name, path in _kept_inputs(study).items():
+        write_whole(inside(folder, name), path.read_bytes())
+
+
+def _kept_inputs(study: Study) -> dict[str, Path]:
+    """Return the files that a run folder keeps, by path in it."""
     robot, *described = study.robot_paths
-    for name, path in (
-        ("study.toml", study.path),
-        ("robot.toml", robot),
-        *((path.name, path) for path in described),  # beside the robot file, which names it so
-        ("workflow.toml", study.workflow_path),
-    ):
-        write_whole(inside(folder, f"inputs/{name}"), path.read_bytes())
+    beside = {path.name: path for path in described}  # the robot file, which names them so
+    kept = {"study.toml": study.path, "robot.toml": robot, **beside, "workflow.toml": study.workflow_path}
+    return {f"{INPUTS}/{name}": path for name, path in kept.items()}

@@ -138,9 +138,9 @@ def how_sure(material: Material) -> list[tuple[str, str]]:
     """Return sentences on the source of the errors, the floor due to noise, and the coverage of the intervals."""
     certainty = material.certainty
     held_out = material.split_judged == "holdout"
-    poses = plural(material.summary.heldout_poses, "held-out pose")
+    before = f" ({material.untold} more may be before a step, and are not judged)" if material.untold else ""
     of_poses = (
-        f"at the {poses}, which were not used for the fit"
+        f"at the {plural(len(material.largest), 'held-out pose')}{before}, which were not used for the fit"
         if held_out
         else "at the fitted poses, as none were held out; at others expect more"
     )
