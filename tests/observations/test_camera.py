@@ -14,7 +14,6 @@ from scipy.spatial.transform import Rotation
 
 import calflow as cf
 from calflow.deployment.check_poses import choose_check_poses
-from calflow.deployment.compensation import not_known
 from calflow.estimation.fit import Fit
 from calflow.estimation.identification import fit_effects
 from calflow.files.problems import InputError
@@ -310,8 +309,10 @@ def test_a_known_tool_is_where_it_is_said_to_be(tmp_path):
     assert (told.sd < 5e-3).all()
     assert "base and tool are taught" in told.notes[1]
     assert set(told.notes[:2]) <= set(found.compensate(told.position).notes)
-    (said,) = not_known(found, data.conditions[:, :1])
-    assert "once the tool is taught" in said  # not that orientations should be measured
+    turn = found.model.rotation(found.estimate, data.conditions[:, :1])[0]
+    pose = np.block([[turn, told.position.T], [np.zeros((1, 3)), np.ones((1, 1))]])
+    of_tool = [note for note in found.compensate(pose, start=data.joints[0]).notes if "tool" in note]
+    assert of_tool == [told.notes[1]]  # once, and not that orientations should be measured
     with pytest.raises(InputError, match="positions alone"):
         choose_check_poses(found, data)
     further = photographed(UR5E, True, 24, rng, points=board(), worn=made.arm)

@@ -22,7 +22,16 @@ from calflow.deployment.inverse_kinematics import (
     nominal_readings,
     room,
 )
-from calflow.deployment.prediction import BEYOND_RANGE, Missing, StatedModel, as_stated, of_field, rows_at, standing
+from calflow.deployment.prediction import (
+    BEYOND_RANGE,
+    Missing,
+    StatedModel,
+    as_stated,
+    of_field,
+    of_unseen_tool,
+    rows_at,
+    standing,
+)
 from calflow.estimation.calibrated_model import MOST_UNTOLD, CalibratedModel
 from calflow.estimation.needed_conditions import HOW_TO_GO_ON
 from calflow.files.deferred import Rotation, pd
@@ -82,14 +91,13 @@ def base_placement(calibrated: CalibratedModel, conditions: np.ndarray) -> np.nd
 
 
 def not_known(calibrated: CalibratedModel, conditions: np.ndarray) -> list[str]:
-    """Return notes on the parts of the orientation in rows (n_conditions, n_rows) that no measurement determined."""
-    if any(isinstance(observation, Pose) for observation in calibrated.model.observations):
+    """Return notes on the parts of the orientation in rows (n_conditions, n_rows) that no measurement determined.
+
+    Of images `of_unseen_tool` says it.
+    """
+    seen = any(isinstance(observation, Pose) for observation in calibrated.model.observations)
+    if seen or calibrated.model.tool_unseen:
         return []
-    if calibrated.model.tool_unseen:
-        return [
-            "no image shows how flange and tool sit on the last link: that is in the error to expect, but the same at all targets "
-            "in the tool's frame, and gone once the tool is taught with these commands"
-        ]
     few = conditions[:, np.unique(np.linspace(0, conditions.shape[1] - 1, UNTOLD_ROWS).astype(int))]
     typical = np.sqrt(calibrated.rotation_variances(few)[0].mean(axis=0))
     robot = calibrated.model.robot
@@ -346,7 +354,8 @@ def _judged(
         ),
         *_of_rows("a joint moves there by so little that its side of approach depends on the correction itself", ~settled, names),
         *_of_rows(f"a joint is {': '.join(BEYOND_RANGE)}", np.asarray(calibrated.beyond_range(data.joints).any(axis=1)), names),
-        *(standing(calibrated) if places is None else ()),  # other tools than the robot's own are where their program says
+        # Other tools than the robot's own are where their program says.
+        *(standing(calibrated) if places is None else of_unseen_tool(calibrated)),
         *stated.notes,
         *of_field(calibrated, data.conditions),
         *(not_known(calibrated, data.conditions) if oriented else ()),

@@ -128,17 +128,25 @@ def standing(calibrated: CalibratedModel) -> list[str]:
     if not robot.base.fixed:
         return []
     notes = ["no device saw the robot from outside: the robot's own base stands in for the measuring frame"]
+    notes += of_unseen_tool(calibrated)
     if calibrated.model.tool_unseen:
-        notes.append(
-            "images tell neither where the robot stands nor how flange and tool sit on its last link: that is in the standard "
-            "deviations; once base and tool are taught, expect the error over the joints' ranges that the run states (in_space.csv)"
-        )
         notes += [
             f"nothing tells where marker '{name}' is on its link: state its place in the robot file, with known = true"
             for name, marker in robot.markers.items()
             if not marker.known
         ]
     return notes
+
+
+def of_unseen_tool(calibrated: CalibratedModel) -> list[str]:
+    """Return a note where images alone were measured, which do not show the tool; empty elsewhere."""
+    if not calibrated.model.tool_unseen:
+        return []
+    return [
+        "images tell neither where the robot stands nor how flange and tool sit on its last link: that is in the standard "
+        "deviations, but the same at all poses in the tool's frame; once base and tool are taught, with corrected commands, "
+        "expect the error over the joints' ranges that the run states (in_space.csv)"
+    ]
 
 
 @dataclass(frozen=True)
