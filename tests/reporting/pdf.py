@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pypdfium2
+from pypdfium2.raw import FPDFText_GetFontSize
 
 
 def pages_of(pdf: bytes) -> list[str]:
@@ -11,6 +12,13 @@ def pages_of(pdf: bytes) -> list[str]:
     document = pypdfium2.PdfDocument(pdf)
     texts = [page.get_textpage().get_text_bounded() for page in document]
     return [text.replace("\r\n", "\n").replace("\ufffe\n", "").replace("\ufffe", "") for text in texts]
+
+
+def smallest_print(pdf: bytes) -> float:
+    """The size [points] of the smallest letter on the first page."""
+    text = pypdfium2.PdfDocument(pdf)[0].get_textpage()
+    letters = [k for k in range(text.count_chars()) if text.get_text_range(k, 1).strip()]
+    return min(FPDFText_GetFontSize(text, k) for k in letters)
 
 
 def pictures_of(pdf: bytes, dots_per_inch: float) -> list[np.ndarray]:

@@ -13,6 +13,7 @@ from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.estimation.certainty import Certainty
 from calflow.estimation.identifiability import scale_words
 from calflow.files.tables import from_document, to_document
+from calflow.reporting.document import write_pdf
 from calflow.reporting.sections.verdict import VERDICT_SECTION, next_steps
 from calflow.reporting.sections.verdict import tested_words as words_of
 from calflow.reporting.style import style
@@ -34,7 +35,7 @@ from reporting.case import (
     with_select,
 )
 from reporting.page_one import page_one, texts, unfit, unreadable
-from reporting.pdf import pages_of
+from reporting.pdf import pages_of, smallest_print
 from reporting.test_advice import QUIET, SPEAKS, in_space, promised, results
 from reporting.test_html import Reader
 
@@ -67,6 +68,18 @@ def test_page_one_is_short_and_without_jargon(small: Context, found: tuple[objec
     said = page_one(material)
     assert unreadable(said) == []
     assert len([text for text in said if re.match(r"Tested: \d+ of \d+ held-out errors", text)]) == 1
+
+
+def test_page_one_is_legible(small: Context, tmp_path: Path) -> None:
+    """Fails if what to do next is in small print where much was found, much stays open and the errors will not last."""
+    given = with_diagnosis(small, MANY, STEP, ORDER_OPEN, OR_HYSTERESIS, COUPLED, MISFIT, WAVING, BACKLASH)
+    certainty = given.results.document("diagnose/certainty.json", Certainty)
+    document = to_document(replace(certainty, expected_mm=(0.05, 0.055, 0.09)))
+    results = replace(given.results, documents={**given.results.documents, "diagnose/certainty.json": document})
+    material = report_material(given.study, results, given.run_folder)
+    with style():
+        write_pdf(material.title, [("", VERDICT_SECTION.write(material)), ("Next", [])], tmp_path)
+    assert smallest_print((tmp_path / "report.pdf").read_bytes()) >= 8
 
 
 @pytest.mark.parametrize(("rule", "tables"), [(rule, tables) for rule, tables, *_ in SPEAKS])

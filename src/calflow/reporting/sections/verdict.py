@@ -83,12 +83,12 @@ FOR_EXPERTS = "For experts"
 def _first_page(material: Material) -> list[Block]:
     """Return the verdict on one page; all errors on it are mean or largest ones of the judged poses."""
     diagnosed, unsettled = "diagnose/findings.csv" in material.results, mistake_unsettled(material)
-    sure: list[Block] = [Heading("How sure is this?"), Bullets(how_sure(material))]
+    sure: list[Block] = [Heading("How sure is this?"), Bullets(how_sure(material), None)]
     unknown = [*unsure(material), *open_questions(material)] or [ALL_KNOWN]
     if (further := len(unknown) - LEFT_OPEN) > 1:
         unknown[LEFT_OPEN:] = [f"{further} more, on the pages for experts."]
-    left_open: list[Block] = [Heading("What stays open"), Bullets(unknown)]
-    lacking = headed("What else was found", Bullets(lacked(material), None)) if diagnosed else []
+    left_open: list[Block] = [Heading("What stays open"), Bullets(unknown, None)]
+    lacking = headed("What else was found", Bullets(lacked(material), None)) if diagnosed and not unsettled else []
     cards, of_task = [*_cards(material), verdict_card(material)], answer(material.task) if material.task else None
     sentences = [*([of_task] if of_task else []), *foremost(material)]
     fine = FINE_IN_SIMULATION if is_simulated(material.request) else FINE
@@ -99,9 +99,11 @@ def _first_page(material: Material) -> list[Block]:
         *([] if held_against_tolerance(material) else [Paragraph(NO_TOLERANCE, 11)]),
         *levels_of_effort(material),
         Gap(10),
-        Columns([[pose_errors(material)], [*sure, *([] if unsettled else left_open)]], [1, 1]),
         RestOfPage(
-            [*([] if unsettled else lacking), Heading("What to do next, most useful first")],
+            [
+                Columns([[pose_errors(material), *lacking], [*sure, *([] if unsettled else left_open)]], [1, 1]),
+                Heading("What to do next, most useful first"),
+            ],
             [item.sentence for item in next_steps(material, fine)],
         ),
     ]
@@ -191,7 +193,7 @@ def _stages_left_out(material: Material) -> list[str]:
     ]
     reasons = {name: material.stopped.get(name) or "not run, or outdated since" for name in without}
     each = {reason: [name for name in without if reasons[name] == reason] for reason in reasons.values()}
-    return [f"without the stage {listed(names)}: {reason}" for reason, names in each.items()]
+    return [f"without the {plural_word(names, 'stage')} {listed(names)}: {reason}" for reason, names in each.items()]
 
 
 def _measured(material: Material) -> str:
