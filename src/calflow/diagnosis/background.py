@@ -115,10 +115,9 @@ class BackgroundBasis:
         columns = consecutive(sum(len(effect.declared) for effect in effects) for _, effects in kinds)
         # A wire or a socket has no reported position: errors that depend on it move none of its residuals.
         moving = [k for k, span in enumerate(columns) if shown.diagonal()[span].any()]
-        root = _root(shown)
-        square, axes = np.linalg.eigh(root.T @ root)
+        square, axes = np.linalg.eigh(shown)
         kept = np.argsort(-square)[: min(MODES, int(np.count_nonzero(square > ROUNDING * square[-1])))]
-        whole = (root @ axes[:, kept]).T
+        whole = (axes[:, kept] * np.sqrt(square[kept])).T
         # LAPACK's gesdd may fail on nearly dependent functions.
         svds = (scipy.linalg.svd(whole[:, columns[k]], full_matrices=False, lapack_driver="gesvd") for k in moving)
         parts = tuple((left * value)[:, value > FAINT * value[0]] for left, value, _ in svds)
@@ -231,14 +230,6 @@ def beside_background(fitted: Fitted, basis: BackgroundBasis) -> Fitted:
 def _named_in(fitted: Fitted) -> list[str]:
     """Return the inputs of which one of its causes, or its family, is a general smooth function."""
     return [name for cause in fitted.causes for name in cause.effect.named_in()]
-
-
-def _root(products: np.ndarray) -> np.ndarray:
-    """Return a pivoted Cholesky factor (n, rank) of products (n, n), of no more columns than there are residuals."""
-    factor, order, rank, _ = scipy.linalg.lapack.dpstrf(products, lower=1, tol=ROUNDING * products.diagonal().max())
-    root = np.zeros((len(products), rank))
-    root[order - 1] = np.tril(factor)[:, :rank]
-    return root
 
 
 def background(fitted: Fitted, basis: BackgroundBasis, without: Collection[str] = ()) -> Background | None:
