@@ -29,6 +29,7 @@ ROWS_A_REGRESSOR = 4  # rows required for each smooth function that is removed
 WIDE = 10.0  # search range of a log standard deviation about its starting value
 COMPARABLE = 0.5  # least share of a set-up's indicator that its poses do not predict
 PASSES = 3  # refits in which the noise of set-ups settles
+ROUNDING = 1e-9  # singular value of regressors over the largest, below which it is rounding
 
 
 @dataclass(frozen=True)
@@ -150,7 +151,7 @@ class ErrorSizes:
         """Return the p-value of the roots' regression on tested (n, k) beside others (n, m), and its last coefficient."""
         weight = np.sqrt(self.freedom)
         every, root = np.column_stack([beside, tested]) * weight[:, None], weight * self.root
-        fewer, more = _basis(every[:, : beside.shape[1]]), _basis(every)
+        fewer, more = (scipy.linalg.orth(some, ROUNDING) for some in (every[:, : beside.shape[1]], every))
         before, after = (float(root @ root - ((basis.T @ root) ** 2).sum()) for basis in (fewer, more))
         spent, left = more.shape[1] - fewer.shape[1], len(root) - more.shape[1]
         if spent < 1 or left < 1 or not after > 0:
@@ -263,7 +264,7 @@ def _levels(fitted: Fitted, sizes: ErrorSizes, beside: np.ndarray) -> NoiseLevel
 
 def _not_predicted(setups: np.ndarray, beside: np.ndarray) -> np.ndarray:
     """Return the share (n,) of the indicator of each row's set-up that regressors (n, k) do not predict, 1 if by chance alone."""
-    basis, apart = _basis(beside), setups - setups.mean(axis=0)
+    basis, apart = scipy.linalg.orth(beside, ROUNDING), setups - setups.mean(axis=0)
     left = apart - basis @ (basis.T @ apart)
     share = (left**2).sum(axis=0) / np.maximum((apart**2).sum(axis=0), 1e-300)
     return np.asarray(setups @ share * (len(setups) - 1) / max(1, len(setups) - basis.shape[1]))
@@ -296,7 +297,7 @@ def _of_residuals(fitted: Fitted) -> ErrorSizes:
         rows = np.flatnonzero(data.of_series(k))
         leading = [unit == observed.units[0] for unit in observed.units]
         error = fitted.studentised[rows, : len(leading)][:, leading]
-        basis = _basis(_smooth_functions(fitted, rows) / noise[rows, None])
+        basis = scipy.linalg.orth(_smooth_functions(fitted, rows) / noise[rows, None], ROUNDING)
         left = np.maximum(1 - (basis**2).sum(axis=1), 1 - MOST_LEVERAGE)
         squared[rows] = ((error - basis @ (basis.T @ error)) ** 2).sum(axis=1) / left
         freedom[rows] = error.shape[1]
@@ -321,12 +322,6 @@ def _smooth_functions(fitted: Fitted, rows: np.ndarray) -> np.ndarray:
     products = [place[:, i] * place[:, j] for i in range(3) for j in range(i, 3)]
     smooth = [*place.T, *waves[: 2 * joints.shape[1]], *products, *waves[2 * joints.shape[1] :]]
     return np.stack([np.ones(len(rows)), *smooth[: len(rows) // ROWS_A_REGRESSOR]], axis=1)
-
-
-def _basis(columns: np.ndarray) -> np.ndarray:
-    """Return an orthonormal basis of the space that columns (n, k) span."""
-    basis, triangle = np.linalg.qr(columns)
-    return np.asarray(basis[:, np.abs(np.diag(triangle)) > 1e-9 * np.abs(triangle).max()])
 
 
 def _fitted(sizes: ErrorSizes, distance: np.ndarray, p: float) -> Growth:

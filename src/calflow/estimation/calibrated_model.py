@@ -323,8 +323,7 @@ class CalibratedModel:
         basis = np.zeros((*error.shape, 0))
         if len(new):
             placing = error_jacobian(model, estimate, data, unit)[:, :, new] * model.prior_sd[new]
-            ways, size, _ = np.linalg.svd(placing.reshape(error.size, -1), full_matrices=False)
-            basis = ways[:, size > RANK * size.max(initial=0.0)].reshape(*error.shape, -1)
+            basis = scipy.linalg.orth(placing.reshape(error.size, -1), RANK).reshape(*error.shape, -1)
         share = 1.0 - (basis**2).sum(axis=2)
         root = np.sqrt(np.where(share > RANK, share, np.nan))
         columns = [*known, *range(len(names), len(names) + len(smooth.sd))]
