@@ -15,9 +15,10 @@ from calflow.deployment.conventions import angle_between, pose_matrix, pose_valu
 from calflow.estimation.needed_conditions import NeededCondition
 from calflow.measurements.measurements import Measurements
 from calflow.model import build
+from calflow.programs import correction
 from calflow.programs.aims import FilterSettings
 from calflow.programs.calibrated_robot import CalibratedRobot
-from calflow.programs.formats import parsed
+from calflow.programs.formats import parsed, read_project
 from calflow.programs.target import KrlConfiguration, RapidConfiguration
 from estimation.data import calibration
 from programs.samples import filtered
@@ -298,6 +299,28 @@ def test_sides_of_approach_follow_from_the_moves_not_from_the_declarations(writt
     remaining = {row.name: row.remaining_mm for row in done.rows}
     (between,) = [mm for mm in remaining.values() if mm > 0.01]
     assert between == remaining[program.targets[2].name]
+
+
+def test_sides_of_approach_follow_in_each_file_of_a_project():
+    """Fails if a KUKA module, whose moves and data are two files, has no order, or the side goes on from file to file."""
+    b, corrector = 1e-3, with_play(1e-3)
+    readings = np.tile(usual(corrector, 1), (4, 1))
+    readings[:, 1] += [0.0, 0.1, 0.2, 0.3]
+    j = ["{" + ", ".join(f"A{k} {v:.6f}" for k, v in enumerate(np.rad2deg(q), 1)) + "}" for q in readings]
+    files = {
+        "a.dat": f"DEFDAT A\nDECL E6AXIS X1={j[1]}\nDECL E6AXIS X0={j[0]}\nENDDAT\n",
+        "a.src": f"DEF A( )\nPTP X0\nPTP X1\nPTP {j[2]}\nEND\n",
+        "b.src": f"DEF B( )\nPTP {j[3]}\nPTP {j[2]}\nEND\n",
+    }
+    programs, _ = read_project({name: text.encode() for name, text in files.items()}, Path())
+    done = correction.filtered(programs, corrector, FilterSettings({}, {}))
+    later, _ = read_project(done.files, Path())
+    moved = [
+        new.values[1] - old.values[1]
+        for before, after in zip(programs, later, strict=True)
+        for old, new in zip(before.targets, after.targets, strict=True)
+    ]
+    np.testing.assert_allclose(moved, np.array([-1, 0, -1, 0, 1]) * b / 2, atol=2e-8)
 
 
 def test_after_a_move_to_an_unknown_place_the_side_of_approach_is_unknown():

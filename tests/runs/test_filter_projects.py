@@ -160,5 +160,3 @@ def test_what_is_no_project_is_refused(cell):
     assert "no robot program" in cell.refused("filter", cell / "runs", cell / "empty")[0]
     (cell / "backup" / "home.mod").write_text("MODULE M\nENDMODULE\n")
     assert "several makers" in cell.refused("filter", cell / "runs", cell / "backup")[0]
-    asked = ("filter", cell / "runs", cell / "backup.zip", "--payload", "heavy", "--in-order")
-    assert "several" in cell.refused(*asked)[0]

@@ -157,7 +157,7 @@ def export_command(study_or_run: Path, to: Format, beside: tuple[Path, ...], out
 @click.option("--flange", help="Where the controller's flange is in the robot file's.")
 @click.option("--start", help="Joint readings near the first target, in degrees (mm of slides): q1,q2,…")
 @click.option("--any-configuration", is_flag=True, help="Correct targets even if their flags fit no way to reach them.")
-@click.option("--in-order", is_flag=True, help="The robot moves in the order in which the moves stand in the file.")
+@click.option("--in-order", is_flag=True, help="The robot moves in the order in which the moves stand in each file.")
 @click.option("--condition", "conditions", multiple=True, help="temperature_degC=VALUE, time_s=VALUE and the like.")
 @click.option("--without-conditions", is_flag=True, help="Go on without conditions that the model needs.")
 @click.option("--strict", is_flag=True, help="Write nothing unless every target is corrected.")

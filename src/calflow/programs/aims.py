@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import count
+from itertools import count, groupby
 from pathlib import Path
 
 import numpy as np
@@ -138,9 +138,9 @@ def aims_of(
 
 
 def runs_of_moves(aims: Sequence[Aim], files: Sequence[str], elsewhere: Collection[tuple[str, int]]) -> list[list[int]]:
-    """Return which aim each move goes to, in the order of the files, in runs between moves to unknown places.
+    """Return which aim each move goes to, in the order of its file, in runs between moves to unknown places.
 
-    elsewhere: file and line of these. An aim to which no move goes counts where it stands.
+    elsewhere: file and line of these. No run goes on in another file. An aim to which no move goes counts where it stands.
     """
     place = {file: k for k, file in enumerate(files)}
     moves = [(place[file], line, (0, 0), -1) for file, line in elsewhere]
@@ -148,12 +148,14 @@ def runs_of_moves(aims: Sequence[Aim], files: Sequence[str], elsewhere: Collecti
         uses = (aim.use,) if aim.use else tuple(use for use in aim.target.uses if use.line and not use.computed)
         spots = [(use.file, use.line, use.span or (0, 0)) for use in uses]
         moves += [(place[file], line, span, k) for file, line, span in spots or [(aim.file, aim.target.line, (0, 0))]]
-    runs: list[list[int]] = [[]]
-    for *_, k in sorted(moves):
-        if k >= 0:
-            runs[-1].append(k)
-        elif runs[-1]:
-            runs.append([])
+    runs: list[list[int]] = []
+    for _, in_file in groupby(sorted(moves), key=lambda move: move[0]):
+        runs.append([])
+        for *_, k in in_file:
+            if k >= 0:
+                runs[-1].append(k)
+            else:
+                runs.append([])
     return [run for run in runs if run]
 
 

@@ -110,7 +110,7 @@ def filter_program(
         start: the controller's joint readings [deg or mm] near the first target, for programs without configuration
             flags.
         any_configuration: if no solution has a target's flags, take the one nearest to the previous target.
-        in_order: whether the robot moves in the order of the file, so that each joint's side of approach follows from it.
+        in_order: whether the robot moves in the order of each file, so that each joint's side of approach follows from it.
         conditions: `temperature_degC`, `time_s` and the like, where the model needs them.
         missing: whether a program without a condition that the model needs is refused, or corrected without it.
 
@@ -121,8 +121,6 @@ def filter_program(
     files = read_files(path)
     programs, unread = read_project(files, path) if is_backup(path) else ([parsed(files[path.name], path)], [])
     maker = programs[0].maker
-    if in_order and sum(bool(program.targets) for program in programs) > 1:
-        raise refuse("the order of targets is that of one program, found several", key="--in-order")
     known_tools, tool = stated_frames(maker, tools, "--tool")
     known_frames, frame = stated_frames(maker, frames, "--frame")
     placed = {
