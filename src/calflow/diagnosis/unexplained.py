@@ -42,6 +42,7 @@ from calflow.estimation.smooth_functions import (
     Shift,
     SmoothFunction,
     moved_together,
+    of_images,
     of_place,
     pairs_of,
     under_payloads,
@@ -266,7 +267,7 @@ def decoys(fitted: Fitted) -> list[SmoothFunction]:
     chosen += [Shift(robot, (i,)) for i in turning]
     pairs = pairs_of(moved_together(fitted.problem, fitted.fit.estimate))
     chosen += [kind(robot, pair) for pair in pairs if set(pair) <= set(turning) for kind in (JointField, Shift)]
-    chosen += of_place(fitted.model, fitted.fit.estimate, data)
+    chosen += of_images(data) or [of_place(fitted.model, fitted.fit.estimate, data)]
     chosen += under_payloads(data)
     if "order" in data.given:
         order = np.unique(data.table["order"].to_numpy(float))

@@ -121,12 +121,8 @@ class JointField(JointError, OfJoints):
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
         """Return the waves."""
-        waves = ca.vertsplit(self.waves(state.q)) if joint in self._erring else []
+        waves = ca.vertsplit(self.waves(state.q)) if not self.erring or joint in self.erring else []
         return [Term(f"wave{k + 1}", self.unit(joint), SIZE, 1.0, value) for k, value in enumerate(waves)]
-
-    @property
-    def _erring(self) -> Sequence[int]:
-        return self.erring or range(self.robot.n_joints)
 
 
 @dataclass(frozen=True)
@@ -385,7 +381,7 @@ def smooth_functions(problem: LeastSquares, estimate: np.ndarray, data: Measurem
         fields = [JointField(robot, pair, erring=_beside(groups, *pair)) for pair in pairs]
         bases += [(("joints",), [*fields]), (("joints",), [Shift(robot, pair) for pair in pairs])]
     if not of_images(data):
-        bases += [(place.inputs, [place]) for place in of_place(problem.model, estimate, data)]
+        bases.append((InPlace.inputs, [of_place(problem.model, estimate, data)]))
     walks = (in_time(data, of) for of in WALKING if of != Wandering.of)
     return bases + beside_joints(problem.model, data) + [(walk[0].inputs, [*walk]) for walk in walks if walk]
 
@@ -501,15 +497,13 @@ def under_payloads(data: Measurements) -> list[UnderPayload]:
     return [UnderPayload(data.robot, name) for name in carried[1 if all(carried) else 0 :] if name]
 
 
-def of_place(model: Model, estimate: np.ndarray, data: Measurements) -> list[SmoothFunction]:
-    """Return the smooth functions of place over a model's rows, or those of images of a target."""
-    if images := of_images(data):
-        return images
+def of_place(model: Model, estimate: np.ndarray, data: Measurements) -> InPlace:
+    """Return the smooth functions of place over a model's rows."""
     place = model.point(estimate, data.conditions)
     centre, arm = place.mean(axis=0), np.linalg.norm(place - model.robot.base.origin, axis=1).max()
     # Such errors vary over the robot's size: cubic over that of two sockets beside each other, they would be metres elsewhere.
     reach = max(np.abs(place - centre).max(), LEAST_REACH * arm)
-    return [InPlace(data.robot, tuple(map(float, centre)), float(reach) or 1.0)]
+    return InPlace(data.robot, tuple(map(float, centre)), float(reach) or 1.0)
 
 
 def of_images(data: Measurements) -> list[SmoothFunction]:
