@@ -217,23 +217,13 @@ def error_table(errors: ErrorModel, model: Model) -> pd.DataFrame:
     """Return the table of `SmoothAmplitude`s."""
     told = [f"told {n + 1}" for n in range(errors.told.shape[1])]
     slopes = [f"slope {parameter.name}" for parameter in model.parameters]
-    amplitudes = [(k, function, n == 0) for k, function in enumerate(errors.functions, start=1)
-                  for n in range(len(function.declared))]  # fmt: skip
     first = [np.concatenate([[size, 0.0], errors.offset, np.zeros(len(told))]) for _, size in errors.rest.sizes]
     others = np.column_stack([errors.sd, errors.mean, errors.slope, errors.told])
-    named = pd.DataFrame(
-        {
-            "function": [*(0 for _ in first), *(number for number, *_ in amplitudes)],
-            "kind": [
-                *(unit.label for unit, _ in errors.rest.sizes),
-                *(type(function).__name__ for _, function, _ in amplitudes),
-            ],
-            "figures": [
-                *("" for _ in first),
-                *(function.figures_text if is_first else "" for _, function, is_first in amplitudes),
-            ],
-        }
-    )
+    rows = [(0, unit.label, "") for unit, _ in errors.rest.sizes]
+    for number, function in enumerate(errors.functions, start=1):
+        kind, figures = type(function).__name__, function.figures_text
+        rows += [(number, kind, "" if k else figures) for k in range(len(function.declared))]
+    named = pd.DataFrame(rows, columns=["function", "kind", "figures"])
     numbers = pd.DataFrame(np.vstack([*first, others]), columns=["sd", "mean", *slopes, *told])
     return typed(pd.concat([named, numbers], axis=1), SmoothAmplitude)
 
