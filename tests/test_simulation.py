@@ -77,6 +77,14 @@ def test_noise_grows_with_range_as_stated(small):
     assert abs(np.corrcoef(unit[table["repeat"] == 1].ravel(), unit[table["repeat"] == 2].ravel())[0, 1]) < 0.05
 
 
+def test_a_file_is_not_divided_in_part(small):
+    """Fails if simulate writes rows, some without a split, that check and run then refuse."""
+    small.edit("truth.toml", (SETS, SETS + '\n[[sets]]\nrandom = 5\nsplit = "holdout"'))
+    (told,) = small.refused("simulate", small / "truth.toml", "--out", small / "new.csv")
+    assert "expected split in all [[sets]] or in none" in told
+    assert not (small / "new.csv").exists()
+
+
 def test_repeats_payloads_and_sets_are_laid_out(small):
     """Fails if repeats are other poses, payloads do not take turns, or a set's split or numbering is lost."""
     table = simulated(

@@ -75,6 +75,14 @@ class Truth(FileModel):
             )
         return self
 
+    @model_validator(mode="after")
+    def _split_in_all(self) -> Truth:
+        if 0 < sum(set.split is None for set in self.sets) < len(self.sets):
+            raise ValueError(
+                "expected split in all [[sets]] or in none: a file's rows are divided throughout or not at all"
+            )
+        return self
+
 
 def simulate(path: str | Path) -> pd.DataFrame:
     """Return the measurement table that a truth file describes, in a measurement file's columns.
