@@ -107,10 +107,10 @@ def test_what_is_not_corrected_does_not_end_as_if_all_were(cell):
     corrected = cell / "points.corrected.ls"
     (cell / "points.ls").write_bytes(PROGRAM.replace("/END", UNTAUGHT).replace("\n", "\r\n").encode())
     strict = cell.calflow(*asked, "--strict")
-    assert (strict.code, corrected.exists()) == (1, False)
+    assert (strict.code, corrected.exists()) == (3, False)
     assert strict.out.endswith("wrote no program: not corrected: 1 target\n")
     some = cell.calflow(*asked)
-    assert (some.code, corrected.exists()) == (1, True)
+    assert (some.code, corrected.exists()) == (3, True)
     assert "not corrected, by reason: never taught 1" in some.out
 
 
@@ -125,7 +125,7 @@ def test_nothing_is_written_as_corrected_that_is_not(cell, moves, why):
     text = text if moves else re.sub(r"(?m)^.*\bP\[\d.*\n", "", text)
     (cell / "points.ls").write_bytes(text.replace("\n", "\r\n").encode() + b"/END\r\n")
     answer = cell.calflow("filter", cell / "runs", cell / "points.ls", "--payload", "heavy")
-    assert answer.code == 1, answer
+    assert answer.code == 3, answer
     assert answer.out.endswith(f"wrote no program: {why}\n")
     assert not (cell / "points.corrected.ls").exists()
 

@@ -84,9 +84,9 @@ def test_a_file_that_cannot_be_read_is_named_and_stays(cell):
     (cell / "backup" / "broken.ls").write_bytes(BROKEN)
     asked = ("filter", cell / "runs", cell / "backup", "--payload", "heavy")
     strict = cell.calflow(*asked, "--strict")
-    assert (strict.code, (cell / "backup.corrected").exists()) == (1, False)
+    assert (strict.code, (cell / "backup.corrected").exists()) == (3, False)
     answer = cell.calflow(*asked)
-    assert answer.code == 1
+    assert answer.code == 3
     assert "broken.ls:15" in answer.out
     assert "not read 1" in answer.out
     assert held(cell / "backup.corrected")["broken.ls"] == BROKEN

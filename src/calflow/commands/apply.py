@@ -14,6 +14,7 @@ import click
 import calflow as cf
 from calflow.commands.console import (
     FILE,
+    NOT_WELL,
     OVER,
     check_apart,
     check_unwritten,
@@ -38,7 +39,6 @@ WITHOUT_CONDITIONS = click.option(
     "--without-conditions", is_flag=True, help="Keep rows that lack needed columns, with a wider standard deviation."
 )
 NOTES_PRINTED = 20  # most notes of one kind that are printed
-NOT_ALL = 1  # exit code if a target was not corrected
 
 
 @click.command("predict")
@@ -210,7 +210,7 @@ def filter_command(
     why = f"not corrected: {plural(lacking, 'target')}" if lacking else "no target is stated by numbers"
     say(f"wrote {target}" if written else f"wrote no program: {why}")
     if lacking or not written:
-        sys.exit(NOT_ALL)
+        sys.exit(NOT_WELL)
 
 
 def summary_lines(program: Path, done: Filtered) -> list[str]:

@@ -13,6 +13,7 @@ import calflow as cf
 from calflow.commands.console import (
     FALSE_ALARM,
     FILE,
+    NOT_WELL,
     OVER,
     ArgumentCommand,
     exit_code,
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     from calflow.files.deviations import Deviation
     from calflow.runs.reproduce import Reproduction
 
-DIFFERS, CANNOT = 1, 2
 COLUMNS_TOLD = 12  # most columns that are reported individually
 
 
@@ -59,19 +59,14 @@ def reproduce_command(run: Path, out: Path | None) -> None:
     """Run RUN, a run folder or an unpacked archive, again from its own inputs, and tell bit by bit what differs.
 
     The last line is the verdict: the same bytes, the same to so many digits, or not the same. Exit code: 0 if every
-    file has the same bytes, 1 if one differs, 2 if it cannot be done.
+    file has the same bytes, 3 if one differs, 2 if it cannot be done.
     """
-
-    try:
-        with progress() as listener:
-            reproduction = cf.reproduce(run, out, listener)
-    except OSError as error:  # other commands exit with 1 here, which would mean that files differ
-        say(f"error: {error}", err=True)
-        sys.exit(CANNOT)
+    with progress() as listener:
+        reproduction = cf.reproduce(run, out, listener)
     say(*reproduction_lines(reproduction))
     if out is not None:
         say(f"run: {out / 'run'}, differences: {out / 'differences.csv'}")
-    sys.exit(DIFFERS if reproduction.other else 0)
+    sys.exit(NOT_WELL if reproduction.other else 0)
 
 
 def reproduction_lines(reproduction: Reproduction) -> list[str]:
