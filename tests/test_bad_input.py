@@ -261,6 +261,7 @@ def test_a_broken_matlab_file_is_refused(small, content):
 
 SOURCES = {
     "no such file": (("measurements.csv", "other.csv"), "other.csv: no such measurement file"),
+    "misspelt file": (("measurements.csv", "measurments.csv"), "did you mean 'measurements.csv'?"),
     "a folder": (("measurements.csv", "."), "no such measurement file"),
     "no hash": (("[split]", 'sha256 = ""\n[split]'), "study.toml:10: measurements.sha256: expected 64 digits"),
     "another hash": (("[split]", f'sha256 = "{"a" * 64}"\n[split]'), "measurements.csv: wrong SHA-256: the study names aaa"),

@@ -46,7 +46,8 @@ def main() -> None:
         so = " ".join(
             getattr(error, "__notes__", ["Name another place, or repeat the command once this is corrected."])
         )
-        say(f"error: {error}. {so}", err=True)
+        what = f"{error.filename}: {error.strerror}" if error.filename and error.strerror else error
+        say(f"error: {what}. {so}", err=True)
         sys.exit(TROUBLE)
     except InputError as error:
         say(*error.problems, err=True)

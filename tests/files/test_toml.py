@@ -167,7 +167,11 @@ def test_a_copy_without_its_workflows_is_told_as_such(small, monkeypatch, tmp_pa
 
 @pytest.mark.parametrize(
     ("robot", "told"),
-    [("robt.toml", "robt.toml: no such file"), (".", "cannot be read"), ("measurements.csv", "not TOML")],
+    [
+        ("robt.toml", "no such file, did you mean 'robot.toml'?"),
+        (".", "cannot be read"),
+        ("measurements.csv", "not TOML"),
+    ],
 )
 def test_a_file_that_is_not_there_or_no_toml_is_named(small, robot, told):
     """Fails if a missing file, a folder, or a table in place of TOML ends in a traceback."""

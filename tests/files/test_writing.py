@@ -39,6 +39,20 @@ def test_a_write_that_fails_leaves_nothing(tmp_path, monkeypatch):
     assert not list((tmp_path / "new").iterdir())
 
 
+def test_a_write_that_fails_names_the_file_that_was_asked_for(tmp_path, monkeypatch):
+    """Fails if a full disk, or a folder that may not be written to, is told with the name of a temporary file."""
+
+    def fail(*names):
+        raise PermissionError(13, "Permission denied", *names[:2])
+
+    for call in ("open", "replace"):
+        with monkeypatch.context() as broken:
+            broken.setattr(os, call, fail)
+            with pytest.raises(PermissionError) as told:
+                write_whole(tmp_path / "a.csv", b"")
+        assert str(told.value) == f"[Errno 13] Permission denied: '{tmp_path / 'a.csv'}'"
+
+
 def test_what_is_written_may_be_read_by_whom_the_user_lets(tmp_path):
     """Fails if a table is closed to others whose umask allows them to read it."""
     before = os.umask(0o022)

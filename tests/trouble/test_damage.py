@@ -160,7 +160,7 @@ def test_a_folder_that_cannot_be_written_is_told(small):
     """Fails if a place where nobody may write ends a run with a traceback or anything but a message."""
     done = small.forked("-m", "calflow", "run", small.path, "--out", "/sys/calflow", "--stage", "select")
     assert done.returncode == 1, done.stderr
-    assert done.stderr.startswith("error: [Errno ")
+    assert done.stderr.startswith("error: /sys/calflow")
     assert done.stderr.endswith("once this is corrected, the same command goes on.\n")
 
 

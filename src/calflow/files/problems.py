@@ -7,6 +7,7 @@ import re
 import stat
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
@@ -124,6 +125,15 @@ def nearest(word: str, names: Iterable[str]) -> str:
     return f", did you mean '{spelled[close[0]]}'?" if close else ""
 
 
+def nearest_file(path: Path) -> str:
+    """Return `, did you mean 'x'?` with the file beside a path that is named most like it, or an empty string."""
+    with suppress(OSError):
+        beside = {file.stem.lower(): file.name for file in islice(sorted(path.parent.iterdir()), MOST_COMPARED)}
+        if close := difflib.get_close_matches(path.stem.lower()[:LONGEST_WORD], beside, n=1):
+            return f", did you mean '{beside[close[0]]}'?"
+    return ""
+
+
 def unknown_name(what: str, name: str, names: Collection[str]) -> str:
     """Return the message that the robot file has no marker or payload of a name; empty if it has or none is named."""
     if not name or name in names:
@@ -142,7 +152,7 @@ def regular_file(path: Path, absent: str = "no such file") -> Path:
     try:
         mode = path.stat().st_mode
     except FileNotFoundError:
-        raise NoSuchFile([Problem(absent, path)]) from None
+        raise NoSuchFile([Problem(f"{absent}{nearest_file(path)}", path)]) from None
     except (OSError, ValueError) as error:  # a name that is too long, or contains a null character
         raise refuse(f"cannot be read: {getattr(error, 'strerror', None) or error}", path) from None
     if not stat.S_ISREG(mode):

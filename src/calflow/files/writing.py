@@ -27,6 +27,9 @@ def write_whole(path: Path, content: bytes) -> None:
     """Write a file atomically: into a temporary file beside it that then replaces it; missing folders are created.
 
     The temporary name is random, so that no existing link can redirect the write; a link at the path is replaced.
+
+    Raises:
+        OSError: it cannot be written; its file is the path that was asked for.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f".{secrets.token_hex(8)}{PART}")
@@ -34,6 +37,8 @@ def write_whole(path: Path, content: bytes) -> None:
         with os.fdopen(os.open(part, _NEW, 0o666), "wb") as stream:
             stream.write(content)
         os.replace(part, path)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from None  # nobody knows the temporary name
     finally:
         part.unlink(missing_ok=True)
 

@@ -18,7 +18,7 @@ from urllib.request import HTTPRedirectHandler, build_opener
 from pydantic import Field, field_validator, model_validator
 from pydantic.json_schema import SkipJsonSchema
 
-from calflow.files.problems import InputError, NoSuchFile, refuse, regular_file
+from calflow.files.problems import InputError, NoSuchFile, nearest_file, refuse, regular_file
 from calflow.files.toml import Angle, Angles3, FileModel, Length, Lengths3, Sigma, Unit
 from calflow.measurements.rows import Layout, Missing, Reported
 from calflow.measurements.series import BeamNoise, Series, Setting, Station
@@ -160,7 +160,7 @@ def locate(source: MeasurementSource, folder: Path, data: Path | None = None) ->
     if path is None:
         raise refuse(
             f"no such measurement file{reason}; expected it there, in the folder that CALFLOW_DATA names, or by a url in the "
-            "study",
+            f"study{nearest_file(here)}",
             here,
         )
     if not os.access(path, os.R_OK):
