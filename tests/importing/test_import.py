@@ -284,3 +284,20 @@ def test_texts_of_a_recording_are_kept(folder):
     table = pd.read_csv(folder / "measurements.csv", keep_default_na=False)
     assert list(table["payload"]) == ["gripper" if k % 3 else "" for k in range(14)]
     assert set(table["marker"]) == {"reflector"}
+
+
+def test_rows_without_a_partner_are_counted(folder):
+    """Fails if points that no joints belong to, or joints without a point, are left out in silence, or counted as poses."""
+    of = campaign(cf.Robot.from_toml(folder / "robot.toml"), 1)
+    number = np.arange(len(of.q))[:, None]
+    joints, points = np.hstack([number, np.degrees(of.q)])[:-2], np.hstack([number, 1e3 * of.points])[3:]
+    (folder / "j.csv").write_text(table(of, "nr,J1,J2,J3,J4,J5,J6", joints))
+    (folder / "p.csv").write_text(table(of, "nr,x,y,z", points))
+    answer = in_process("import", folder / "j.csv", folder / "p.csv", "--into", folder)
+    assert answer.code == 0, answer.err
+    assert "; 3 rows of j.csv without a partner left out; 2 rows of p.csv without a partner left out" in answer.err
+    figures = np.hstack([np.degrees(of.q), 1e3 * of.points])
+    figures[4, 7] = np.nan
+    (folder / "one.csv").write_text(table(of, "J1,J2,J3,J4,J5,J6,x,y,z", figures))
+    answer = in_process("import", folder / "one.csv", "--into", folder, "--dry-run")
+    assert f"one pose: {len(of.q) - 1}" in " ".join(answer.out.split()), answer

@@ -11,6 +11,7 @@ import numpy as np
 
 from calflow.files.deferred import pd
 from calflow.files.problems import InputError, Problem, refuse, truncated
+from calflow.files.words import plural
 from calflow.importing.column_role import DEVIATIONS, PLANNED, Roles, preferred, roles, seconds
 from calflow.importing.foreign_table import ForeignColumn, ForeignTable, name_words
 from calflow.importing.joint_mapping import FACTORS, LARGEST_TURN, SCALES
@@ -152,6 +153,8 @@ def _side_by_side(joints: tuple[ForeignTable, Roles], points: tuple[ForeignTable
     if by_pose is not None:
         mine, theirs = by_pose
         note = f"rows of {first.title} and {other.title} belong together by '{first.columns[of_joints.labels['pose']].name}'"
+        alone = ((first, len(first) - len(set(mine))), (other, len(other) - len(theirs)))
+        note += "".join(f"; {plural(n, 'row')} of {table.title} without a partner left out" for table, n in alone if n)
         return _paired(first.rows(mine), of_joints, other.rows(theirs), of_points, note)
     mine_at = seconds(first.columns[of_joints.time]) if of_joints.time is not None else None
     theirs_at = seconds(other.columns[of_points.time]) if of_points.time is not None else None

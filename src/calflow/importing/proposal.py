@@ -182,7 +182,7 @@ def _proposed(joined: Joined, robot: Robot, stated: Mapping[str, str], sigma_rot
     readings = readings_of(choice.mapping.taken.hypothesis, joined.figures)
     position = joined.figures[:, choice.points] * SCALES[choice.unit]
     complete = np.isfinite(readings).all(axis=1) & np.isfinite(position).all(axis=1)
-    parts = [_poses(joined, readings), *_labels(joined, robot, markers), *_conditions(joined)]
+    parts = [_poses(joined, readings, complete), *_labels(joined, robot, markers), *_conditions(joined)]
     parts += [*_joints(joined, robot, choice.mapping.taken, readings), *_point(joined, choice, position)]
     notes = [*joined.notes, *computed]
     if not complete.all():
@@ -272,7 +272,7 @@ def _left_out(joined: Joined, taken: Collection[str]) -> list[str]:
     titles = [column.title for k, column in enumerate(joined.columns) if column.title not in taken and k not in turns]
     if not titles:
         return []
-    quoted = listed([f"'{title}'" for title in titles])
+    quoted = listed([f"'{title}'" for title in dict.fromkeys(titles)])
     return [
         f"left out: {quoted}. For approach, session and the like, map your file in the study: [measurements.columns]"
     ]
@@ -318,8 +318,11 @@ def _from_unit(factor: float, shown: str) -> list[str]:
     return [] if unit == shown else [f"from {unit}"]
 
 
-def _poses(joined: Joined, readings: np.ndarray) -> _Imported:
-    """The pose of each row: from a column that agrees with the readings, else by groups of nearly equal readings."""
+def _poses(joined: Joined, readings: np.ndarray, complete: np.ndarray) -> _Imported:
+    """The pose of each row: from a column that agrees with the readings, else by groups of nearly equal readings.
+
+    complete: which rows are imported.
+    """
     numbers = _clusters(readings)
     if "pose" in joined.roles.labels:
         column = joined.columns[joined.roles.labels["pose"]]
@@ -328,7 +331,9 @@ def _poses(joined: Joined, readings: np.ndarray) -> _Imported:
         if all(names) and len(pairs) == len(set(names)) == len(set(numbers)):
             origin = ColumnOrigin("pose", column.title, "as it is", "its name, and rows of one have equal joints")
             return _Imported({"pose": names}, origin)
-    origin = ColumnOrigin("pose", "", "numbered", f"rows of equal joints are one pose: {len(set(numbers))}")
+    origin = ColumnOrigin(
+        "pose", "", "numbered", f"rows of equal joints are one pose: {len(set(np.array(numbers)[complete]))}"
+    )
     return _Imported({"pose": [str(k) for k in numbers]}, origin)
 
 
