@@ -16,6 +16,7 @@ from calflow.commands.console import (
     FILE,
     NOT_WELL,
     OVER,
+    ArgumentCommand,
     check_apart,
     check_unwritten,
     deliver,
@@ -111,7 +112,7 @@ def _rms(values: pd.Series) -> float:
     return float((values**2).mean() ** 0.5)
 
 
-@click.command("export")
+@click.command("export", cls=ArgumentCommand)
 @click.argument("study_or_run", type=FILE)
 @click.option(
     "--to",

@@ -330,7 +330,7 @@ def _said(lost: Sequence[NotExported]) -> tuple[str, ...]:
     if sum(bool(loss.parts) for loss in lost) == 1:
         lost = [loss for loss in lost if loss.effect != EVERYTHING]
     return tuple(
-        f"left out: {loss.effect}{f' ({_between(loss.parts)})' if loss.parts else ''}: without it the tool is off by "
+        f"left out: {loss.effect}{f' ({_between(loss.parts)})' if loss.parts else ''}: the tool is then off by "
         f"{loss.mean_mm:.3f} mm on average over the measured rows, {loss.max_mm:.3f} mm at most"
         for loss in lost
     )

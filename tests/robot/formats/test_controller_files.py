@@ -189,3 +189,5 @@ def test_zeros_are_fitted_for_what_the_file_holds(finished):
     assert "no such file" in told
     (told,) = finished.refused("export", finished / "runs", "--to", "urdf", "--beside", finished / "machine.dat")
     assert told.endswith("beside: expected no file: 'urdf' states the whole robot")
+    (told,) = finished.refused("export", finished / "runs", "--to", "kuka-dat")
+    assert told.startswith("--beside: expected the controller's own file")

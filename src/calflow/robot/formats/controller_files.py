@@ -96,7 +96,7 @@ def pasted(maker: Maker, texts: Mapping[Path, str], nominal: Robot, calibrated: 
     arm = [i for i, joint in enumerate(nominal.joints) if joint.external is None and joint.driven]
     asked = (name.format(k + 1) for k in range(len(arm)) for name in (kept.zero, *kept.needs))
     if not texts:
-        raise refuse(f"expected the controller's own file as it is today, beside: {kept.files}")
+        raise refuse(f"expected the controller's own file as it is today: {kept.files}", key="beside")
     where = ", ".join(path.name for path in texts)
     refuse_any(Problem(f"expected {name}, in {kept.files}: {where}") for name in asked if name not in values)
     added = dict(enumerate(added_to_readings(nominal, calibrated)[arm], start=1))
