@@ -153,6 +153,9 @@ def test_why_an_image_is_left_out_is_said(tmp_path):
     left_out = pd.read_csv(tmp_path / "study" / "detections" / "left_out.csv").set_index("image")["reason"]
     assert left_out["grey.png"].startswith("0 corners found")
     assert "of another lens" in left_out["small.png"]
+    turned = written(tmp_path, **(said | {"columns": said["rows"], "rows": said["columns"]}))
+    answer = in_process("detect", tmp_path / "good.png", "--target", turned, "--into", tmp_path / "other")
+    assert "are columns and rows exchanged" in answer.err
     assert left_out[["text.png", "gone.png"]].tolist() == ["cannot be read as an image", "is not there"]
     rows = pd.read_csv(tmp_path / "study" / "measurements.csv")
     assert (rows["q2_deg"] == 2).all()

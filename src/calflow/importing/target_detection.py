@@ -188,8 +188,11 @@ def _charuco(board: Any, detector: Any, grey: np.ndarray) -> Detected | str:
     if twice := _shown_twice(markers):
         return twice
     if names is None or len(names) < FEWEST_IMAGE_POINTS:
-        read = 0 if markers is None else len(markers)
-        return f"{0 if names is None else len(names)} corners found, {FEWEST_IMAGE_POINTS} are needed ({read} markers read)"
+        read, found = (0 if seen is None else len(seen) for seen in (markers, names))
+        wrong = (
+            "; are columns and rows exchanged, or is legacy wrong?" if not found and read > FEWEST_IMAGE_POINTS else ""
+        )
+        return f"{found} corners found, {FEWEST_IMAGE_POINTS} are needed ({read} markers read{wrong})"
     numbers = np.asarray(names).ravel()
     places = np.asarray(board.getChessboardCorners(), float)[numbers]
     return Detected(numbers, places, np.asarray(corners, float).reshape(-1, 2), _has_foreign(markers, board))
