@@ -25,7 +25,7 @@ VARIANTS = {  # how many forms there are to try, where not one
     "base-compliance": 2,
     "base-play": 24,
     "link-torsion": 2,
-    "nonlinear-joint-stiffness": 6,
+    "nonlinear-joint-stiffness": 7,
     "loaded-transmission-error": 6,
     "torque-backlash": 2,
     "joint-eccentricity": 2,

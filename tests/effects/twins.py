@@ -71,6 +71,13 @@ def early_knee(bench: Bench) -> Twin:
     return Twin(made(bench, hidden.cause, knee=0.1 / share), {"joint2.c": hidden.size / 0.9 * share}, hidden)
 
 
+def uneven(bench: Bench) -> Twin:
+    """The simulator's two sides are of the largest torque, calflow's of the rated one."""
+    hidden = Hidden("nonlinear-joint-stiffness", 2, 5e-4, "sides")
+    share = bench.rated(2) / np.abs(bench.torque(2, hidden)).max()
+    return Twin(made(bench, hidden.cause, uneven=True), {"joint2.c1": hidden.size * share}, hidden)
+
+
 def loaded_wave(way: str) -> Callable[[Bench], Twin]:
     """The simulator's torque is over the largest of all rows, calflow's over the rated one; warmth is over 10 K in both."""
     hidden = Hidden("loaded-transmission-error", 2, 3e-4, way, seed=3)
@@ -355,6 +362,7 @@ TWINS: dict[str, Callable[[Bench], Twin]] = {
     "nonlinear-joint-stiffness, cubic": cubic,
     "nonlinear-joint-stiffness, knee": knee,
     "nonlinear-joint-stiffness, early knee": early_knee,
+    "nonlinear-joint-stiffness, uneven": uneven,
     **{f"loaded-transmission-error, {way}": loaded_wave(way) for way in ("", "gear", "warm")},
     "friction-wind-up": friction,
     "joint-backlash": one("joint-backlash", "joint3.b", Hidden("joint-backlash", 3, 1.5e-4)),

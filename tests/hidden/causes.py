@@ -78,8 +78,10 @@ def _driven(h: Hidden) -> int:
 
 
 def nonlinear_stiffness(h: Hidden, robot: Robot, rows: Rows, torque: Array) -> Array:
-    """A cubic part, or a stiffer branch past some share (extra; "break" is half) of the largest torque."""
+    """A cubic part, a stiffer branch past some share (extra; "break" is half) of the largest torque, or two unlike "sides"."""
     load = torque[:, h.joint - 1] / np.abs(torque[:, h.joint - 1]).max()
+    if h.extra == "sides":
+        return h.size * np.abs(load)
     if h.extra:
         knee = 0.5 if h.extra == "break" else h.number
         return -h.size * np.sign(load) * np.maximum(np.abs(load) - knee, 0) / (1 - knee)

@@ -49,6 +49,16 @@ def test_play_and_a_hardening_spring_of_a_joint_are_one_curve_of_its_torque(tmp_
     assert seen.causes.iloc[0]["family_probability"] > 0.99
 
 
+def test_a_drive_that_is_softer_to_one_side_is_no_wave_under_load(tmp_path) -> None:
+    """Breaks if stiffness that changes where the load changes its sign is put down to the angle at which it does."""
+    seen = found(
+        tmp_path, case("serial", Hidden("nonlinear-joint-stiffness", 2, 6e-4, "sides"), settings=IN_JOINTS), 11
+    )
+    assert len(seen.causes) == 1, seen.causes
+    assert "nonlinear-joint-stiffness" in seen.could_be(0)
+    assert seen.causes.iloc[0]["joint"] == 2
+
+
 def test_an_axis_that_wobbles_is_no_eccentricity(tmp_path) -> None:
     """Breaks if a bearing that does not run true is called an error of the angle, or missed where none of these can be it."""
     wobbling = only("axis-wobble", "joint-eccentricity", "periodic-joint-error", "bearing-compliance", "link-bending")

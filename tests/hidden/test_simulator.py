@@ -26,6 +26,7 @@ USUAL = {
     "gravity-deflection": (0, 1.0, ""),
     "nonlinear-joint-stiffness": (2, 3e-4, ""),
     "nonlinear-joint-stiffness break": (2, 3e-4, "break"),
+    "nonlinear-joint-stiffness sides": (5, 3e-4, "sides"),
     "joint-backlash": (2, 1e-4, ""),
     "torque-backlash": (3, 1e-4, ""),
     "joint-hysteresis": (1, 1e-4, ""),

@@ -19,7 +19,7 @@ from calflow.diagnosis.noise_model import RANGE, Growth
 from calflow.diagnosis.unexplained import POSE, UnexplainedStructure, is_any_error_along, predicted
 from calflow.diagnosis.verdict import CERTAIN, SIZE, Amplitude, Rival, Verdict, found_amplitude, named
 from calflow.effects import catalogue
-from calflow.effects.base import FORMS_OF_ONE, IN_TIME, SMOOTH_IN
+from calflow.effects.base import FORMS_OF_ONE, IN_TIME, ITS_ANGLE, ITS_TORQUE, SMOOTH_IN
 from calflow.effects.cause import Cause
 from calflow.effects.wording import (
     UNEXPLAINED,
@@ -53,7 +53,6 @@ INPUTS_IN_WORDS = {
     "target": "where on the target a point is",
 }
 RESTS = "comes to rest elsewhere each time, or errs in waves too short for these poses"
-OTHER_INPUTS = {*PLACE, *INPUTS_IN_WORDS, "order", "time", "payload"}  # inputs other than single joints
 NOT_CARRIED = "; it does not carry over to poses that were left out"
 NOT_DEPLOYED = "; suspected, and left out of the model: it does not help at poses left out in turn"
 
@@ -94,9 +93,9 @@ class Finding:
     rows: tuple[int, ...] = column("lines of the file, of a data fault", default=())
     statement: str = column("the verdict in words")
     inputs: tuple[str, ...] = column(
-        "inputs of unexplained structure: q1 … (joints), x, y, z, order, time, payload, image, target; pose: an independent error "
-        "of each pose, with joints: of where these come to rest; empty: a lack of fit, reported whether an input explains it or "
-        "not, with its largest region in `detail`",
+        "inputs of unexplained structure: q1 … (joints), tau1 … (their torques), x, y, z, order, time, payload, image, target; "
+        "pose: an independent error of each pose, with joints: of where these come to rest; empty: a lack of fit, reported "
+        "whether an input explains it or not, with its largest region in `detail`",
         default=(),
     )
     not_tested: tuple[str, ...] = column(
@@ -260,14 +259,20 @@ class Finding:
     @property
     def of_angles(self) -> bool:
         """Whether unexplained structure depends on joints' angles alone."""
-        return not OTHER_INPUTS & {*self.inputs}
+        return len(self._joints(ITS_ANGLE)) == len(self.inputs)
+
+    def _joints(self, of: str) -> list[str]:
+        """Return the numbers of the joints whose angle, or torque, is among the inputs."""
+        return [number for name in self.inputs if (number := name.removeprefix(of)).isdigit() and number != name]
 
     @property
     def inputs_in_words(self) -> str:
         """The inputs of unexplained structure, in words."""
-        joints = [name[1:] for name in self.inputs if name not in OTHER_INPUTS]
         if self.of_angles:
+            joints = self._joints(ITS_ANGLE)
             return f"the {'angle of joint' if len(joints) == 1 else 'angles of joints'} {listed(joints)}"
+        if loaded := self._joints(ITS_TORQUE):
+            return f"the load of joint {listed(loaded)}"
         if self.unrepeated:
             return f"where {self.unrepeated} comes to rest each time"
         if self.inputs[0] in INPUTS_IN_WORDS:
@@ -445,7 +450,8 @@ def _where(cause: Cause) -> str:
 def _overlapping(cause: Cause, model: Model, left: tuple[UnexplainedStructure, ...]) -> UnexplainedStructure | None:
     """Return unexplained structure along an input through which a cause acts: its joint's angle, time or order, or the payload."""
     through = set(depended_on(replace(model, effects=(cause,)))) if left else set()
-    inputs = {f"q{cause.joint}"} if cause.joint and not cause.of_measuring() else set()
+    of_joint = {f"{of}{cause.joint}" for of in (ITS_ANGLE, ITS_TORQUE)}
+    inputs = of_joint if cause.joint and not cause.of_measuring() else set()
     inputs |= set(IN_TIME) if cause.of_measuring() or not through.isdisjoint((*IN_TIME, "temperature")) else set()
     inputs |= {"payload"} & through
     return next((structure for structure in left if inputs & set(structure.inputs)), None)

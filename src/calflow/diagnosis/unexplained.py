@@ -32,13 +32,14 @@ from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import Background, principal
 from calflow.diagnosis.screening import MATERIAL, Score, Screening, by_place, place_probabilities
 from calflow.effects import Effect
-from calflow.effects.base import ITS_ANGLE
+from calflow.effects.base import ITS_ANGLE, ITS_TORQUE, NEEDS
 from calflow.effects.cause import Cause
 from calflow.effects.wording import UNITS
 from calflow.estimation.accuracy import error_jacobian, judged_unit
 from calflow.estimation.smooth_functions import (
     SIZE,
     JointField,
+    OfTorque,
     Shift,
     SmoothFunction,
     moved_together,
@@ -104,7 +105,8 @@ def suspected(left: Sequence[UnexplainedStructure], scores: Sequence[Score[Cause
 
 def is_any_error_along(cause: Cause, inputs: tuple[str, ...]) -> bool:
     """Whether a cause is of the family of general errors along one of these inputs."""
-    own = {f"q{cause.joint}" if name == ITS_ANGLE else name for name in cause.effect.named_in()}
+    of_joint = (ITS_ANGLE, ITS_TORQUE)
+    own = {f"{name}{cause.joint}" if name in of_joint else name for name in cause.effect.named_in()}
     return not own.isdisjoint(inputs)
 
 
@@ -267,6 +269,8 @@ def decoys(fitted: Fitted) -> list[SmoothFunction]:
     chosen += [Shift(robot, (i,)) for i in turning]
     pairs = pairs_of(moved_together(fitted.problem, fitted.fit.estimate))
     chosen += [kind(robot, pair) for pair in pairs if set(pair) <= set(turning) for kind in (JointField, Shift)]
+    if NEEDS["torques"].met(robot, data.given):
+        chosen += [OfTorque(robot, erring=i) for i in range(robot.n_joints)]
     chosen += of_images(data) or [of_place(fitted.model, fitted.fit.estimate, data)]
     chosen += under_payloads(data)
     if "order" in data.given:

@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 
 from calflow.effects import Effect
-from calflow.effects.base import JointError, Term
+from calflow.effects.base import ITS_TORQUE, JointError, Term
 from calflow.effects.board_bent import REACH, bow
 from calflow.effects.thermal_growth import GROWTH_SD, grown
 from calflow.effects.tracker_scale import TrackerScale
@@ -37,6 +37,7 @@ ORDERS = 6  # harmonics of a function of one joint
 # Powers of the coordinates in the terms of `InImage` and `InPlace`.
 _IN_IMAGE = [(i, j) for i in range(4) for j in range(4) if i + j <= 3]
 _IN_PLACE = [(i, j, k) for i in range(4) for j in range(4) for k in range(4) if 2 <= i + j + k <= 3]
+TORQUE_ORDERS = 2  # harmonics of a function of a joint's torque
 SMOOTH_ORDERS = 4  # harmonics of a joint's angle
 TINY = 1e-6  # m, of a travel
 LEAST_REACH = 0.5  # over which errors of place vary, over the distance of the farthest point from the robot's base
@@ -122,6 +123,26 @@ class JointField(JointError, OfJoints):
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
         """Return the waves."""
         waves = ca.vertsplit(self.waves(state.q)) if not self.erring or joint in self.erring else []
+        return [Term(f"wave{k + 1}", self.unit(joint), SIZE, 1.0, value) for k, value in enumerate(waves)]
+
+
+@dataclass(frozen=True)
+class OfTorque(JointError, SmoothFunction):
+    """An error of one joint (number from 0) as a smooth function of its torque, up to the rated one to either side."""
+
+    erring: int = 0
+    orders: int = TORQUE_ORDERS
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """The joint's torque."""
+        return (f"{ITS_TORQUE}{self.erring + 1}",)
+
+    def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
+        """Return waves of its share of the rated torque."""
+        if joint != self.erring:
+            return []
+        waves = ca.vertsplit(ca.vec(_phases(np.pi / 2 * self.load(joint, state) @ ca.DM(range(1, self.orders + 1)).T)))
         return [Term(f"wave{k + 1}", self.unit(joint), SIZE, 1.0, value) for k, value in enumerate(waves)]
 
 
