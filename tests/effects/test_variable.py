@@ -14,7 +14,7 @@ from calflow.model import Model, over_rows
 from calflow.robot.mechanism import Deflection, Row, nominal_dimensions, nominal_loads, state
 from effects.bench import ROBOTS, Bench, made
 from effects.twins import SHARED, STEPS
-from hidden.causes import beam
+from hidden.beams import beam
 
 ANGLE = lambda bench, joint: np.rad2deg(bench.rows.q[:, joint - 1])  # noqa: E731
 TORQUE = lambda bench, joint: bench.still.torque[:, joint - 1]  # noqa: E731
