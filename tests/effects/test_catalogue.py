@@ -32,7 +32,7 @@ VARIANTS = {  # how many forms there are to try, where not one
     "gear-transmission-error": 2,
     "gravity-compensator": 5,
     "gravity-deflection": 2,
-    "link-bending": 6,
+    "link-bending": 8,
     "bearing-compliance": 2,
     "axis-wobble": 2,
     "joint-hysteresis": 5,

@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import robots
-from calflow.effects.beam import Beam, beams
+from calflow.effects.beam import Beam, Softness, beams
 from calflow.effects.link_bending import LinkBending
 from calflow.model import Model, build, over_rows
 from calflow.robot.mechanism import State
@@ -26,8 +26,8 @@ FORCE, MOMENT = np.array([120.0, -300.0, 500.0]), np.array([80.0, 150.0, -60.0])
 WEIGHT = np.array([300.0, -900.0, -2500.0])
 
 
-def summed(span: np.ndarray, soft: np.ndarray, aside: np.ndarray, parts: int = 2000) -> np.ndarray:
-    """A uniform beam's end (6,) from many short pieces, each turned by the moment that it carries.
+def summed(span: np.ndarray, near: np.ndarray, far: np.ndarray, aside: np.ndarray, parts: int = 2000) -> np.ndarray:
+    """A beam's end (6,) from many short pieces, each turned by the moment that it carries, from one softness to the other.
 
     Every piece weighs as much as the next, and its centre is aside of the line.
     """
@@ -36,30 +36,32 @@ def summed(span: np.ndarray, soft: np.ndarray, aside: np.ndarray, parts: int = 2
         rest = 1 - (k + 0.5) / parts
         lever = rest * span
         own = np.cross(lever / 2 + aside, rest * WEIGHT)
+        soft = rest * near + (1 - rest) * far
         curved = np.linalg.norm(span) / parts * soft @ (MOMENT + np.cross(lever, FORCE) + own)
         turn, shift = turn + curved, shift + np.cross(curved, lever)
     return np.concatenate([shift, turn])
 
 
-def test_an_oblique_beam_is_the_sum_of_its_pieces() -> None:
+@pytest.mark.parametrize(("tapers", "close"), [(0.0, 1e-5), (5.0, 0.03)])
+def test_an_oblique_beam_is_the_sum_of_its_pieces(tapers: float, close: float) -> None:
     """Breaks if end loads and own weight do not add up along the beam, or its section has axes of its own choice only."""
     span, aside = np.array([0.9, -0.2, 0.4]), np.array([0.02, 0.09, 0.0])
     root = np.random.default_rng(3).normal(size=(3, 3)) * 1e-4
-    soft = root @ root.T
+    near, far = root @ root.T, (1 + tapers) * root @ root.T
     axes = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
     bearing, link = np.zeros((6, 2)), np.zeros((6, 3))
     bearing[:3, 1], link[:, 2] = axes.T @ (FORCE + WEIGHT), np.concatenate([FORCE, MOMENT])
     loads = replace(State.symbols(robots.industrial()), bearing=ca.SX(ca.DM(bearing)), link=ca.SX(ca.DM(link)))
     beam = Beam(1, *(ca.DM(part) for part in (span, np.zeros(3), span / 2 + aside, axes)))
-    found = np.array(ca.DM(beam.twist(ca.SX(ca.DM(soft)), loads)))
-    assert_allclose(found.ravel(), summed(span, soft, aside), rtol=1e-5)
+    found = np.array(ca.DM(beam.twist(Softness(*(ca.SX(ca.DM(soft)) for soft in (near, far))), loads)))
+    assert_allclose(found.ravel(), summed(span, near, far, aside), rtol=close)
 
 
 @pytest.mark.parametrize(("at", "bends"), [(-0.5, 0.0), (0.0, 0.0), (1.0, 1.0), (1.6, 1.0)])
 def test_a_weight_beyond_an_end_of_the_beam_is_a_load_there_or_none(at: float, bends: float) -> None:
     """Breaks if a counterweight behind the joint bends the link before it, or what lies beyond the far end has another lever."""
     span = np.array([0.0, 0.0, 0.8])
-    soft = ca.SX(ca.DM(np.diag([1e-7, 1e-7, 2e-7])))
+    soft = Softness(*(2 * [ca.SX(ca.DM(np.diag([1e-7, 1e-7, 2e-7])))]))
     bearing, link = np.zeros((6, 2)), np.zeros((6, 3))
     bearing[:3, 1] = WEIGHT
     loads = replace(State.symbols(robots.industrial()), bearing=ca.SX(ca.DM(bearing)), link=ca.SX(ca.DM(link)))
@@ -120,5 +122,13 @@ def test_a_link_that_bends_under_its_own_weight_is_one_cause(robot, tmp_path):
         "link-bending", "link-mass", "payload-mass", "gravity-compensator", "joint-eccentricity", "gear-ratio-error"
     )
     seen = found(tmp_path, case(robot, Hidden("link-bending", 2, 3e-7), settings=weights), 34)
+    assert list(seen.causes["cause"]) == ["link-bending"], seen.causes
+    assert seen.causes.iloc[0]["cannot_tell_from"] == "", seen.causes
+
+
+@pytest.mark.parametrize("robot", ["hh800", "serial"])
+def test_a_link_that_tapers_is_one_cause(robot, tmp_path):
+    """Fails if half a millimetre of bending leaves a second name, of a link or bearing beyond, where the link is softer there."""
+    seen = found(tmp_path, case(robot, Hidden("tapered-beam", 2, 1e-7, 4.0), settings=ALIKE), 42)
     assert list(seen.causes["cause"]) == ["link-bending"], seen.causes
     assert seen.causes.iloc[0]["cannot_tell_from"] == "", seen.causes

@@ -68,18 +68,30 @@ def oblique_beam(h: Hidden, robot: Robot, rows: Rows, state: State) -> Motion:
     aside = np.cross(end, rng.normal(size=3))
     aside *= rng.uniform(0.1, 0.33) * np.linalg.norm(end) / np.linalg.norm(aside)
     path = np.array([np.zeros(3), rng.uniform(0.3, 0.7) * end + aside, end])
-    parts = np.diff(path, axis=0)
-    soft = [h.size * skew_section(rng, part) for part in parts]
+    return _chain(robot, rows, state, i, path, [h.size * skew_section(rng, part) for part in np.diff(path, axis=0)])
+
+
+def tapered_beam(h: Hidden, robot: Robot, rows: Rows, state: State) -> Motion:
+    """A straight link that bends alike in all directions; size is 1/EI at its joint, and extra times that more at its end."""
+    length, along = beam(robot, h.joint - 1)
+    places = np.linspace(0, 1, 13)
+    thin = 1 + float(h.extra) * (places[1:] + places[:-1]) / 2
+    across = np.eye(3) - np.outer(along, along)
+    return _chain(
+        robot, rows, state, h.joint - 1, length * np.outer(places, along), list(h.size * thin[:, None, None] * across)
+    )
+
+
+def _chain(robot: Robot, rows: Rows, state: State, i: int, path: Array, soft: list[Array]) -> Motion:
+    """The motion of a link's end that is a chain of beams (see bent), under what it carries and its own weight."""
     shift, turn = bent(path, soft, state.tip_force[:, i], state.tip_moment[:, i])
     length, along = beam(robot, i)
-    corner = path[1] @ along
+    ends = path @ along
     for place, force, moment in own_weight(robot, state, i, length, along):
-        before = place < corner
-        rest = place / corner if before else (place - corner) / (length - corner)
-        held = path[:1] if before else path[:2]
-        short = np.array([*held, held[-1] + rest * parts[len(held) - 1]])
-        sag, slope = bent(short, soft, force, moment)
-        shift, turn = shift + sag + np.cross(slope, end - short[-1]), turn + slope
+        k = int(np.clip(np.searchsorted(ends, place), 1, len(soft)))
+        point = path[k - 1] + (place - ends[k - 1]) / (ends[k] - ends[k - 1]) * (path[k] - path[k - 1])
+        sag, slope = bent(np.array([*path[:k], point]), soft, force, moment)
+        shift, turn = shift + sag + np.cross(slope, path[-1] - point), turn + slope
     motion = Motion.none(len(rows), robot.n)
     motion.tip[:, i] = np.concatenate([shift, turn], axis=1)
     return motion
@@ -145,4 +157,9 @@ def skew_section(rng: np.random.Generator, along: Array) -> Array:
     return round_tube(along) + rng.uniform(1, 4) * np.outer(across, across)
 
 
-ON_MOTION = {"link-bending": link_bending, "link-torsion": link_torsion, "oblique-beam": oblique_beam}
+ON_MOTION = {
+    "link-bending": link_bending,
+    "link-torsion": link_torsion,
+    "oblique-beam": oblique_beam,
+    "tapered-beam": tapered_beam,
+}

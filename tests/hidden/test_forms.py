@@ -17,6 +17,7 @@ SOFT = {
     "cantilever-bracket": Hidden("cantilever-bracket", 6, 3e-7, seed=3),
     "oblique-beam": Hidden("oblique-beam", 2, 5e-8, seed=4),
     "oblique-beam of the forearm": Hidden("oblique-beam", 4, 5e-8, seed=5),
+    "tapered-beam": Hidden("tapered-beam", 2, 5e-8, 4.0),
     "offset-bearing": Hidden("offset-bearing", 2, 1e-7, 0.3, seed=6),
     "offset-bearing of the wrist": Hidden("offset-bearing", 4, 1e-7, 0.3, seed=7),
 }

@@ -30,10 +30,10 @@ from calflow.diagnosis.background import (
 )
 from calflow.diagnosis.cross_validation import carrying
 from calflow.diagnosis.fitted import Fitted
-from calflow.diagnosis.form_error import with_form_errors
+from calflow.diagnosis.form_error import farthest, with_form_errors
 from calflow.diagnosis.regressors import Place
 from calflow.diagnosis.screening import Catalogue, Score, Screening, by_place
-from calflow.diagnosis.stepwise import REACH, SPLIT, CauseAcceptance, Stepwise, second_thoughts, words
+from calflow.diagnosis.stepwise import SPLIT, CauseAcceptance, Stepwise, second_thoughts, words
 from calflow.diagnosis.trial import Detection, Linearisation, Screened, Trial, is_new
 from calflow.effects.cause import Cause
 from calflow.estimation.fit import Fit
@@ -128,7 +128,7 @@ class FittedTrial(Trial[Cause]):
         return tuple(map(self._with_rivals_alone, linear))
 
     def _with_rivals_alone(self, finding: Detection[Cause]) -> Detection[Cause]:
-        cause, limit = finding.cause, finding.cost + 2 * REACH
+        cause, limit = finding.cause, farthest(finding.cost)
         near = {place for place, (cost, _) in finding.places.items() if cost < limit} - {cause.place}
         if not near:
             return finding

@@ -33,6 +33,11 @@ NEAR = 20.0  # and cost above it from which a rival does not matter
 MOST = 40  # forms that are weighed so, the likeliest
 
 
+def farthest(least: float) -> float:
+    """Return the cost up to which a rival of the least cost may be as likely, given its form error."""
+    return least - MISFIT * least + NEAR
+
+
 def with_form_errors(finding: Detection[Cause], fitted: Fitted, apart: Regressors[Cause]) -> Detection[Cause]:
     """Return a finding with its near rivals, in each of their forms, weighed with form errors, as is its own cause.
 
@@ -42,8 +47,7 @@ def with_form_errors(finding: Detection[Cause], fitted: Fitted, apart: Regressor
     apart are the regressors of the fitted model without the cause.
     """
     columns = {candidate.cause: candidate.columns for candidate in apart.candidates}
-    least = min(score.cost for score in finding.scores)
-    limit = least - MISFIT * least + NEAR
+    limit = farthest(min(score.cost for score in finding.scores))
     near = [score for score in finding.scores
             if score.cost < limit and score.cause in columns and score.cause.n_parameters <= MANY][:MOST]  # fmt: skip
     if finding.own not in near:

@@ -102,11 +102,15 @@ def merged(trial: Trial[H]) -> Iterator[list[H]]:
 
 @dataclass(frozen=True)
 class Proposal(Generic[H]):
-    """A proposed step: the causes, and the reason in words; added is the score of the last cause, if it is new."""
+    """A proposed step: the causes, and the reason in words; added is the score of the last cause, if it is new.
+
+    cost is by how much minus twice the log evidence changes in the linearised model, of steps that compete.
+    """
 
     causes: list[H]
     words: str
     added: Score[H] | None = None
+    cost: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -210,12 +214,27 @@ class Stepwise:
 
     def _steps(self, trial: Trial[H]) -> Iterator[Proposal[H]]:
         yield from (_replaced(trial, causes) for causes in trial.refined())
-        if len(trial.causes) < self.acceptance.most:
-            yield from self._added(trial)
+        yield from sorted(chain(self._reformed(trial), self._added(trial)), key=lambda step: step.cost)
         yield _replaced(trial, second_thoughts(trial, self.acceptance))
 
+    def _reformed(self, trial: Trial[H]) -> Iterator[Proposal[H]]:
+        """Yield the causes with one in another of its forms, that which explains most beyond its own.
+
+        What is left of a cause in a wrong form may look like another cause, whose own form would then hide the first's.
+        """
+        steps = list[Proposal[H]]()
+        for finding in filter(self.acceptance.keeps, trial.own_findings):
+            _, best = finding.places[finding.cause.place]
+            gain = finding.own.cost - best.cost
+            if gain > BETTER and self.acceptance.accepts(best, finding.family):
+                causes = [best.cause if cause == finding.cause else cause for cause in trial.causes]
+                steps.append(replace(_replaced(trial, causes), cost=-gain))
+        yield from sorted(steps, key=lambda step: step.cost)[:1]
+
     def _added(self, trial: Trial[H]) -> Iterator[Proposal[H]]:
-        """Yield the causes with the best accepted candidate added, if there is one."""
+        """Yield the causes with the best accepted candidate added, if there is one and room for it."""
+        if len(trial.causes) >= self.acceptance.most:
+            return
         now = trial.linearisation.screened(self.rng, trial.first.family) if trial.causes else trial.first
         passed = self.acceptance.passing(now.scores, now.family)
         doubtful = not (passed and now.family.p(passed[0]) < CLEAR * self.acceptance.false_alarm)
@@ -227,7 +246,7 @@ class Stepwise:
         if passed:
             best = trial.finest(passed[0].cause, trial.causes) or passed[0]
             message = f"{words(best.cause)}: chi2 falls by {best.drop:.4g}, p = {now.family.p(best):.2g}"
-            yield Proposal([*trial.causes, best.cause], message, best)
+            yield Proposal([*trial.causes, best.cause], message, best, best.cost)
 
 
 def _untried(steps: Iterable[Proposal[H]], tried: Sequence[Trial[H]]) -> Iterator[Proposal[H]]:
@@ -267,16 +286,13 @@ def words(cause: H) -> str:
 
 
 def second_thoughts(trial: Trial[H], acceptance: CauseAcceptance) -> list[H]:
-    """Return the causes with one dropped that is no longer accepted, or replaced by a more probable rival or another form of its
-    own that explains the data better; one change at most.
-    """
+    """Return the causes with one dropped that is no longer accepted, or replaced by a more probable rival; one change at most."""
     for finding in _weakest_first(trial.own_findings):
         if not acceptance.keeps(finding):
             return [cause for cause in trial.causes if cause != finding.cause]
     for finding in _weakest_first(trial.findings):
         cost, best = min(finding.places.values(), key=lambda scored: scored[0])
-        better = cost < finding.cost or best.cost < finding.own.cost - BETTER
-        if better and acceptance.accepts(best, finding.family):
+        if cost < finding.cost and acceptance.accepts(best, finding.family):
             return [best.cause if cause == finding.cause else cause for cause in trial.causes]
     return list(trial.causes)
 

@@ -30,6 +30,18 @@ PARALLEL = 1e-6  # m beside the next joint's axis, within which a link that ends
 
 
 @dataclass(frozen=True)
+class Softness:
+    """A beam's curvature per moment (3, 3) [1/Nm²] at its joint's axis and at its far end, and between them in proportion."""
+
+    near: ca.SX
+    far: ca.SX
+
+    def until(self, share: float) -> Softness:
+        """Return that of its first part, a share of its length."""
+        return Softness(self.near, self.near + share * (self.far - self.near))
+
+
+@dataclass(frozen=True)
 class Beam:
     """A link (by index) as a beam: span (3,) [m] is the vector from its joint's axis to its far end.
 
@@ -58,7 +70,7 @@ class Beam:
         force, moment = state.link[:3, self.link + 1], state.link[3:, self.link + 1]
         return force, moment - ca.cross(ca.SX(self.beyond), force)
 
-    def twist(self, soft: ca.SX, state: State) -> ca.SX:
+    def twist(self, soft: Softness, state: State) -> ca.SX:
         """Return the twist (6,) of the link's end under what it carries there and under its own weight.
 
         No file says how the weight is spread about its centre. Two thirds of it act there, and a third at the beam's ends as
@@ -71,18 +83,18 @@ class Beam:
         to_centre = replace(self, span=place, beyond=self.beyond - (self.span - place))
         aside = ca.cross(ca.SX(self.centre - place), weight)
         at_end = self.bent(soft, force + share / 3 * weight, moment + share / 3 * aside)
-        return at_end + 2 / 3 * to_centre.bent(soft, weight, aside)
+        return at_end + 2 / 3 * to_centre.bent(soft.until(share), weight, aside)
 
-    def bent(self, soft: ca.SX, force: ca.SX, moment: ca.SX) -> ca.SX:
+    def bent(self, soft: Softness, force: ca.SX, moment: ca.SX) -> ca.SX:
         """Return the twist (6,) of the link's end under force and moment at the beam's (Euler-Bernoulli).
 
-        soft (3, 3) [1/Nm²] is the curvature per moment, uniform along the beam. Each section bends under the end's moment plus
-        the force times its moment arm, and displaces the end by its rotation times the same arm; both are integrated in closed
-        form.
+        Each section bends under the end's moment plus the force times its moment arm, and displaces the end by its rotation
+        times the same arm; both are integrated in closed form.
         """
-        lever = ca.cross(ca.SX(self.span), force)
-        turn = self.length * (soft @ (moment + lever / 2))
-        shift = self.length * ca.cross(soft @ (moment / 2 + lever / 3), ca.SX(self.span))
+        lever, more = ca.cross(ca.SX(self.span), force), soft.far - soft.near
+        turn = self.length * (soft.near @ (moment + lever / 2) + more @ (moment / 2 + lever / 6))
+        curved = soft.near @ (moment / 2 + lever / 3) + more @ (moment / 6 + lever / 12)
+        shift = self.length * ca.cross(curved, ca.SX(self.span))
         return ca.vertcat(shift + ca.cross(ca.SX(self.beyond), turn), turn)
 
 
@@ -136,8 +148,8 @@ class ElasticLink(Effect):
         """The symbols of each link's flexibilities [1/Nm²], and their lower bounds as shares of the upper ones."""
 
     @abstractmethod
-    def soft(self, beam: Beam, p: ca.SX) -> ca.SX:
-        """Return a link's curvature per moment (3, 3) [1/Nm²] from its own flexibilities."""
+    def soft(self, beam: Beam, p: ca.SX) -> Softness:
+        """Return a link's curvature per moment from its own flexibilities."""
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the flexibilities of each elastic link."""

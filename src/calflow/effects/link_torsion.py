@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from calflow.effects.base import Variable, Words
-from calflow.effects.beam import Beam, ElasticLink
+from calflow.effects.beam import Beam, ElasticLink, Softness
 from calflow.robot.mechanism import Row, State
 
 
@@ -24,9 +24,10 @@ class LinkTorsion(ElasticLink):
     told_by = "put two markers on the link's end, abreast of each other, and watch them while the load changes"
     flexibilities = {"1/GJ": 0.0}
 
-    def soft(self, beam: Beam, p: ca.SX) -> ca.SX:
-        """Return the curvature along the link's line."""
-        return p * (beam.line @ beam.line.T)
+    def soft(self, beam: Beam, p: ca.SX) -> Softness:
+        """Return the curvature along the link's line, the same all along it."""
+        along = p * (beam.line @ beam.line.T)
+        return Softness(along, along)
 
     def variable(self, joint: int) -> Variable:
         """Return the moment about the link's line, to either side."""
