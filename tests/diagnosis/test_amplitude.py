@@ -92,6 +92,9 @@ def test_a_cause_at_its_bound_has_no_spread(fitted, finding):
     bounded = replace(fitted, fit=replace(fitted.fit, estimate=np.where(np.isin(np.arange(len(model.parameters)),
                       model.columns(SECOND)), model.bounds[:, 1], fitted.fit.estimate)))  # fmt: skip
     assert found_amplitude(with_evidence(finding, 0.0), bounded).sd == 0
-    knee, cubic = cause("nonlinear-joint-stiffness", "joint2", knee=0.3), cause("nonlinear-joint-stiffness", "joint2")
+    knee, cubic = (
+        cause("nonlinear-joint-stiffness", "joint2", law="knee", knee=0.3),
+        cause("nonlinear-joint-stiffness", "joint2"),
+    )
     assert not same_quantities(knee, cubic)
     assert same_quantities(FIRST, SECOND)

@@ -102,7 +102,7 @@ def test_a_wrong_cause_gives_way_and_a_needless_one_goes(data):
 
 def test_a_knee_is_refined_until_one_cause_explains_all():
     """Breaks if a large cause stays in the form that was tried first, and another one has to make up for what that leaves."""
-    knee = cause("nonlinear-joint-stiffness", "joint2", knee=0.29)
+    knee = cause("nonlinear-joint-stiffness", "joint2", law="knee", knee=0.29)
     soft = cause("joint-compliance", "joint2")
     data = hidden([(soft, (1.5e-6,)), (knee, (6e-3,))], poses=120)
     listed = Catalogue.of(data, ("geometry",), ("joint-compliance", "nonlinear-joint-stiffness"))

@@ -25,7 +25,7 @@ def cause(name, part, **variant):
 
 
 BASE, RATIO = cause("gear-ratio-error", "joint1"), cause("gear-ratio-error", "joint2")
-SECOND = cause("nonlinear-joint-stiffness", "joint2", knee=0.2)
+SECOND = cause("nonlinear-joint-stiffness", "joint2", law="knee", knee=0.2)
 FOUND = ModelInReach((RATIO,), "found", -2.0, 0.0)
 REACHED = (
     FOUND,

@@ -15,6 +15,7 @@ import pytest
 from calflow.effects import Effect, catalogue
 from calflow.effects.cause import Cause
 from calflow.effects.joint_error_map import LENGTHS
+from calflow.files.problems import InputError
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import condition_columns, numbered
 from calflow.measurements.series import Series, Station
@@ -132,6 +133,21 @@ def test_a_knee_between_two_that_are_tried_is_reached(full: Measurements) -> Non
         assert np.diff(finer).max() < 0.05
         assert np.sort(np.abs(finer - variant.knee))[1] < 0.005
         assert all(np.abs(finer - other).min() < 0.05 for other in knees if abs(other - variant.knee) < 0.16)
+
+
+def test_figures_of_earlier_runs_are_read(full: Measurements) -> None:
+    """Fails if a run cannot be loaded for a figure that an effect has no longer, or for a knee that was stated without a law."""
+    every = catalogue()
+    spring, lens, robot = every["nonlinear-joint-stiffness"], every["lens-growth"], full.robot
+    for law in spring.variants(robot, full):
+        assert spring.of_figures(robot, law.figures_text) == law
+    assert spring.of_figures(robot, '{"knee": 0.2}') == spring(robot, "knee", 0.2)
+    assert spring.of_figures(robot, '{"knee": 0.0}') == spring(robot)
+    assert lens.of_figures(robot, '{"constant": 600.0, "turning": false}') == lens(robot, constant=600.0)
+    with pytest.raises(
+        InputError, match=r"'lens-growth' of another version of calflow \(turning\); run the study again"
+    ):
+        lens.of_figures(robot, '{"turning": true}')
 
 
 def test_a_load_is_what_the_data_tell(full: Measurements) -> None:

@@ -61,21 +61,23 @@ def knee(bench: Bench) -> Twin:
     """The simulator's break is at half the largest torque."""
     hidden = Hidden("nonlinear-joint-stiffness", 2, 1.5e-3, "break")
     share = bench.rated(2) / np.abs(bench.torque(2, hidden)).max()
-    return Twin(made(bench, hidden.cause, knee=0.5 / share), {"joint2.c": 2 * hidden.size * share}, hidden)
+    return Twin(made(bench, hidden.cause, law="knee", knee=0.5 / share), {"joint2.c": 2 * hidden.size * share}, hidden)
 
 
 def early_knee(bench: Bench) -> Twin:
     """The simulator's break is at a tenth of the largest torque."""
     hidden = Hidden("nonlinear-joint-stiffness", 2, 5e-4, 0.1)
     share = bench.rated(2) / np.abs(bench.torque(2, hidden)).max()
-    return Twin(made(bench, hidden.cause, knee=0.1 / share), {"joint2.c": hidden.size / 0.9 * share}, hidden)
+    return Twin(
+        made(bench, hidden.cause, law="knee", knee=0.1 / share), {"joint2.c": hidden.size / 0.9 * share}, hidden
+    )
 
 
 def uneven(bench: Bench) -> Twin:
     """The simulator's two sides are of the largest torque, calflow's of the rated one."""
     hidden = Hidden("nonlinear-joint-stiffness", 2, 5e-4, "sides")
     share = bench.rated(2) / np.abs(bench.torque(2, hidden)).max()
-    return Twin(made(bench, hidden.cause, uneven=True), {"joint2.c1": hidden.size * share}, hidden)
+    return Twin(made(bench, hidden.cause, law="uneven"), {"joint2.c1": hidden.size * share}, hidden)
 
 
 def loaded_wave(way: str) -> Callable[[Bench], Twin]:

@@ -285,8 +285,15 @@ class Effect(ABC):
 
     @classmethod
     def of_figures(cls, robot: Robot, text: str) -> Self:
-        """Return the effect rebuilt from its `figures_text`."""
-        return cls(robot, **{name: as_tuples(value) for name, value in json.loads(text).items()})
+        """Return the effect rebuilt from its `figures_text`, in which a figure that it has no longer is zero.
+
+        Raises:
+            InputError: such a figure is not zero.
+        """
+        stated, own = json.loads(text), {field.name for field in fields(cls)}
+        if gone := [_figure(name, value) for name, value in stated.items() if value and name not in own]:
+            raise refuse(f"has '{cls.id}' of another version of calflow ({', '.join(gone)}); run the study again")
+        return cls(robot, **{name: as_tuples(value) for name, value in stated.items() if name in own})
 
     @property
     def variant(self) -> str:
