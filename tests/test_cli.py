@@ -151,6 +151,16 @@ def test_wrong_input_ends_with_2_and_no_traceback(small):
     assert not (small / "runs").exists()
 
 
+@pytest.mark.parametrize(("study", "code"), [(".", 0), ("nowhere", 2)])
+def test_a_reader_who_leaves_changes_no_exit_code(small, study, code):
+    """Fails if a command whose output nobody reads to its end, as after `| head`, ends as where the machine fails."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    command = [sys.executable, "-m", "calflow", "check", study]
+    assert subprocess.run(command, stdout=writing, stderr=writing, cwd=small.path, check=False).returncode == code
+    os.close(writing)
+
+
 def test_ctrl_c_ends_with_130_and_goes_on(small):
     """Fails if a real interruption ends in a traceback, or leaves what cannot be resumed."""
     small.edit("quick.toml", ("max_steps = 60", "max_steps = 100000"), ("ess = 100", "ess = 100000000"))

@@ -6,12 +6,16 @@ import gc
 import io
 import os
 import sys
+from typing import TYPE_CHECKING, Any, TextIO
 
 import click
 
 from calflow.commands import COMMANDS
 from calflow.commands.console import say
 from calflow.files.problems import InputError
+
+if TYPE_CHECKING:
+    from _typeshed import ReadableBuffer as Buffer
 
 TROUBLE = 1  # exit code of system errors
 THREADS = "OMP_NUM_THREADS"  # read by linear algebra libraries on import
@@ -54,11 +58,48 @@ def main() -> None:
         sys.exit(2)
 
 
+class _Output(io.RawIOBase):
+    """Output to whose end a command goes on although its reader has left, as after `| head`: the exit code is the command's."""
+
+    def __init__(self, stream: io.TextIOWrapper) -> None:
+        self._stream = stream  # which would close the file behind it if it were let go
+        self._raw: Any = getattr(stream.buffer, "raw", stream.buffer)  # by python -u the buffer is none
+
+    def writable(self) -> bool:
+        """It is."""
+        return True
+
+    def fileno(self) -> int:
+        """Return the descriptor."""
+        return self._stream.fileno()
+
+    def isatty(self) -> bool:
+        """Whether it is a terminal."""
+        return self._stream.isatty()
+
+    def write(self, data: Buffer, /) -> int | None:
+        """Write, or pretend to where nobody reads."""
+        try:
+            written: int | None = self._raw.write(data)
+            return written
+        except BrokenPipeError:
+            return memoryview(data).nbytes
+
+
+def _readers_may_leave(stream: TextIO) -> TextIO:
+    """Return a stream that goes on where nobody reads, with characters escaped that a terminal or a log cannot encode."""
+    if not isinstance(stream, io.TextIOWrapper):  # what a program that imports this one has put in its place
+        return stream
+    stream.flush()
+    by_line = stream.line_buffering or stream.write_through
+    return io.TextIOWrapper(
+        io.BufferedWriter(_Output(stream)), stream.encoding, "backslashreplace", line_buffering=by_line
+    )
+
+
 def program() -> None:
     """Run the command line and exit; single-threaded, since an arm's matrices are too small for several threads."""
-    # Characters that a terminal or a log cannot encode are escaped rather than raising an error.
-    if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="backslashreplace")
+    sys.stdout, sys.stderr = map(_readers_may_leave, (sys.stdout, sys.stderr))
     os.environ.setdefault(THREADS, "1")  # before numpy is there; they would wait for each other most of the time
     gc.set_threshold(COLLECTED)
     try:
