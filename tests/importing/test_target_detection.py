@@ -196,7 +196,7 @@ def test_pictures_and_standstills_that_are_there_twice_and_other_boards_are_said
         ("image,x_m,y_m\na.png,1,2\n", "expected joint readings, q1_deg"),
         ("image,q1,q2\na.png,1,2\n", "expected joint readings, q1_deg"),
         ("image,q1_deg,q2_deg\na.png,1,\n", "joints.csv:2: a.png: expected a number"),
-        ("image,q1_deg,q2_deg\na.png,1,2\na.png,1,3\n", "joints.csv:3: a.png: has other joint readings"),
+        ("image,q1_deg,q2_deg\na.png,1,2\na.png,1,3\n", "joints.csv:3: a.png: has other joint readings in line 2"),
     ],
 )
 def test_readings_that_are_none_are_refused(tmp_path, table, told):
@@ -220,6 +220,8 @@ def test_a_target_that_cannot_be_is_refused(tmp_path):
         detect_targets([], written(tmp_path, kind="charuco", columns=5, rows=4, size_mm=30))
     with pytest.raises(InputError, match="DICT_6X6_250"):
         detect_targets([], written(tmp_path, **KINDS["charuco"] | {"dictionary": "DICT_6X6_25"}))
+    with pytest.raises(InputError, match=r"(?s)DICT_6X6_250.*colour: unknown key"):
+        detect_targets([], written(tmp_path, **KINDS["charuco"] | {"dictionary": "DICT_6X6_25", "colour": 1}))
 
 
 @pytest.mark.skipif("CALFLOW_DATA" not in os.environ, reason="CALFLOW_DATA names no folder of measured data")

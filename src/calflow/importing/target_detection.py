@@ -12,11 +12,12 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from calflow.files.deferred import pd
 from calflow.files.problems import escaped, nearest, refuse
 from calflow.files.toml import FileModel, Length, read_toml
+from calflow.files.words import plural
 
 FEWEST_IMAGE_POINTS = 4  # least number of points that determine the target's pose
 DARKER = 10  # least difference in grey level between a white and a black square
@@ -42,6 +43,14 @@ class TargetFile(FileModel):
     dictionary: str = ""
     legacy: bool = False
     large_circle: bool = False
+
+    @field_validator("dictionary")
+    @classmethod
+    def _is_one_of_opencvs(cls, name: str) -> str:
+        names = [name for name in dir(_opencv().aruco) if name.startswith("DICT_")]
+        if name and name not in names:
+            raise ValueError(f"expected one of OpenCV's, such as DICT_6X6_250, found '{name}'{nearest(name, names)}")
+        return name
 
     @model_validator(mode="after")
     def _is_whole(self) -> TargetFile:
@@ -91,7 +100,7 @@ def detect_targets(images: Sequence[Path], target: Path) -> Detections:
     """
     cv2 = _opencv()
     printed = read_toml(target, TargetFile)
-    find = _finder(cv2, printed, target)
+    find = _finder(cv2, printed)
     tables, pictures, left_out = list[pd.DataFrame](), dict[str, bytes](), dict[str, str]()
     size: tuple[int, ...] = ()
     first, beside_others = dict[bytes, str](), list[str]()
@@ -159,16 +168,12 @@ def _picture(cv2: Any, grey: np.ndarray, detected: Detected) -> bytes:
     return bytes(cv2.imencode(".png", small)[1])
 
 
-def _finder(cv2: Any, printed: TargetFile, path: Path) -> Any:
+def _finder(cv2: Any, printed: TargetFile) -> Any:
     """The function that returns the `Detected` points of a grey image, or the reason why there are none."""
     if printed.kind == "checkerboard":
         return lambda grey: _checkerboard(cv2, printed, grey)
     if printed.kind == "circles":
         return lambda grey: _circles(cv2, printed, grey)
-    names = [name for name in dir(cv2.aruco) if name.startswith("DICT_")]
-    if printed.dictionary not in names:
-        words = f"expected one of OpenCV's, such as DICT_6X6_250, found '{printed.dictionary}'{nearest(printed.dictionary, names)}"
-        raise refuse(words, path, key="dictionary")
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, printed.dictionary))
     parameters = cv2.aruco.DetectorParameters()
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
@@ -192,7 +197,9 @@ def _charuco(board: Any, detector: Any, grey: np.ndarray) -> Detected | str:
         wrong = (
             "; are columns and rows exchanged, or is legacy wrong?" if not found and read > FEWEST_IMAGE_POINTS else ""
         )
-        return f"{found} corners found, {FEWEST_IMAGE_POINTS} are needed ({read} markers read{wrong})"
+        return (
+            f"{plural(found, 'corner')} found, {FEWEST_IMAGE_POINTS} are needed ({plural(read, 'marker')} read{wrong})"
+        )
     numbers = np.asarray(names).ravel()
     places = np.asarray(board.getChessboardCorners(), float)[numbers]
     return Detected(numbers, places, np.asarray(corners, float).reshape(-1, 2), _has_foreign(markers, board))

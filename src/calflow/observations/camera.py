@@ -9,7 +9,7 @@ from typing import Annotated, Literal, Self
 import casadi as ca
 import numpy as np
 import scipy
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from calflow.files.deferred import Rotation, pd
 from calflow.files.toml import Angle, Angles3, FileModel, Length, Lengths3, Unit
@@ -86,6 +86,20 @@ class CameraSettings(FileModel):
     target_size: Annotated[tuple[float, float], Unit("length")] | None = None
     focus: Annotated[tuple[float, float], Unit("length")] | None = None
 
+    @field_validator("focal", "size", "target_size")
+    @classmethod
+    def _are_lengths(cls, lengths: tuple[float, float] | None) -> tuple[float, float] | None:
+        if lengths and min(lengths) <= 0:
+            raise ValueError("expected two lengths that are more than nothing")
+        return lengths
+
+    @field_validator("focus")
+    @classmethod
+    def _is_a_range(cls, focus: tuple[float, float] | None) -> tuple[float, float] | None:
+        if focus and not 0 <= focus[0] < focus[1]:
+            raise ValueError("expected the nearest and then the furthest distance that is sharp")
+        return focus
+
     @model_validator(mode="after")
     def _can_be(self) -> CameraSettings:
         if self.camera_on == self.target_on:
@@ -96,11 +110,6 @@ class CameraSettings(FileModel):
             raise ValueError(
                 f"distortion: expected at most {', '.join(DISTORTION[self.lens])} of the lens '{self.lens}'"
             )
-        for name, lengths in (("focal", self.focal), ("size", self.size), ("target_size", self.target_size)):
-            if min([1.0, *(lengths or ())]) <= 0:
-                raise ValueError(f"{name}: expected two lengths that are more than nothing")
-        if self.focus is not None and not 0 <= self.focus[0] < self.focus[1]:
-            raise ValueError("focus: expected the nearest and then the furthest distance that is sharp")
         return self
 
 
