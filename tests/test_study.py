@@ -70,13 +70,27 @@ def test_compliance_without_masses_is_refused_before_any_stage(small):
     assert small.calflow("check").code == 0
 
 
-@pytest.mark.parametrize(("held", "told"), [(40, "holds 0 poses to fit"), (38, "holds 2 poses to fit")])
+@pytest.mark.parametrize(("held", "told"), [(40, "holds 0 poses to fit"), (39, "holds 1 pose to fit and")])
 def test_too_few_poses_to_fit_are_refused(small, held, told):
     """Fails if a fit is tried without data to fit."""
     rows = small.rows
     small.measure(rows.assign(split=np.where(rows["pose"].astype(int) <= held, "holdout", "train")))
     (problem,) = small.refused("check")
     assert told in problem
+
+
+def test_all_that_is_missing_is_told_at_once(small):
+    """Fails if a robot or measurements that are nowhere hide that others are, or what is wrong in the rows that are there."""
+    lost = '[[measurements]]\nname = "one"\nfile = "one.csv"\n[[measurements]]\nname = "two"\nfile = "two.csv"\n[split]'
+    small.edit("study.toml", ('[measurements]\nfile = "measurements.csv"', ""), ("[split]", lost))
+    missing = [f"{name}.csv: no such measurement file" for name in ("one", "two")]
+    assert [problem.split(";")[0] for problem in small.refused("check")] == missing
+    (small / "two.csv").write_text("pose\n1\n")
+    assert [problem.split(":")[0] for problem in small.refused("check")][:2] == ["one.csv", "two.csv"]
+    (small / "two.csv").unlink()
+    (small / "robot.toml").unlink()
+    told = small.refused("check")
+    assert [problem.split(";")[0] for problem in told] == ["robot.toml: no such file", *missing]
 
 
 def drawn(small, seed=1, holdout=0.3, **columns):

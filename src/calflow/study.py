@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime
 import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -41,7 +41,7 @@ from calflow.files.toml import (
     validate_table,
 )
 from calflow.files.units import LARGEST, SUFFIXES, UNITS, split_unit
-from calflow.files.words import listed
+from calflow.files.words import listed, plural
 from calflow.measurements.measurements import Measurements, combined, continued
 from calflow.measurements.rows import layout_of_further
 from calflow.measurements.series import Series
@@ -360,8 +360,7 @@ class Study:
         """
         if not self.file.sources:
             raise refuse("has no measurements yet: expected a table [measurements] with file = …", self.path)
-        located = run_checks(*(partial(locate, source, self.path.parent, self.data) for source in self.file.sources))
-        return (*located, *self.further)
+        return (*run_checks(*(partial(self._located, k) for k in range(len(self.file.sources)))), *self.further)
 
     @property
     def measurement_path(self) -> Path:
@@ -407,10 +406,12 @@ class Study:
 
     @cached_property
     def _measured(self) -> Measurements:
-        paths, n = self.measurement_paths, len(self.file.sources)
-        path = paths[0]
-        of_series = [*enumerate(paths[:n]), *((0, path) for path in paths[n:])]
-        parts = run_checks(*(partial(self._series, k, path) for k, path in of_series))
+        n = len(self.file.sources)
+        of_series = [(k, partial(self._located, k)) for k in range(n)] + [
+            (0, partial(Path, path)) for path in self.further
+        ]
+        parts = run_checks(*(partial(self._series, k, located) for k, located in of_series))
+        path = self.measurement_path
         measured = combined((continued([parts[0], *parts[n:]]), *parts[1:n]))
         check_columns(self.file.effects, measured, path)
         model = stated(self.robot, self.file.effects, measured, observations(measured))
@@ -420,8 +421,8 @@ class Study:
         measured = measured.split(self.file.split.holdout, self.file.seed)
         poses = measured.table.loc[measured.train, "pose"].nunique()
         if poses < FEWEST_POSES:
-            raise refuse(f"holds {poses} poses to fit and {len(measured) - measured.train.sum()} rows in holdout: nothing can be "
-                         "identified with so few", path)  # fmt: skip
+            raise refuse(f"holds {plural(poses, 'pose')} to fit and {plural(int((~measured.train).sum()), 'row')} in holdout: "
+                         "nothing can be identified with so few", path)  # fmt: skip
         return measured
 
     def _check_names(self, model: Model) -> None:
@@ -443,8 +444,13 @@ class Study:
                 continue
             raise Origin.of(self.path).refuse(message, *self._source(k), "name")
 
-    def _series(self, k: int, path: Path) -> Measurements:
-        """Return the measurements of series k read from a file."""
+    def _located(self, k: int) -> Path:
+        """Return the file of series k."""
+        return locate(self.file.sources[k], self.path.parent, self.data)
+
+    def _series(self, k: int, located: Callable[[], Path]) -> Measurements:
+        """Return the measurements of series k read from a file, once it is located."""
+        path = located()
         kind, series = self.series(k)
         source, dimension = self.file.sources[k], kind.units[0].dimension
         if source.sigma_unit and source.sigma_unit not in SUFFIXES[dimension]:
@@ -561,16 +567,29 @@ def load_study(path: str | Path) -> Study:
         workflow_path = find_workflow(file.workflow, path)
         return workflow_path, read_toml(workflow_path, WorkflowFile)
 
-    robot, (workflow_path, workflow), *_ = run_checks(
-        checked_robot,
-        found_workflow,
-        lambda: check_confirm(file, path),
-        lambda: check_parameters(file, Origin.of(path)),
-    )
+    try:
+        robot, (workflow_path, workflow), *_ = run_checks(
+            checked_robot,
+            found_workflow,
+            lambda: check_confirm(file, path),
+            lambda: check_parameters(file, Origin.of(path)),
+        )
+    except InputError as error:
+        raise InputError((*error.problems, *_not_located(file, path.parent))) from None
     study = Study(path, file, robot, robot_path, workflow, workflow_path)
     if file.parameters and not file.sources:
         check_stated_parameters(study, build(study.robot, file.effects))
     return study
+
+
+def _not_located(file: StudyFile, folder: Path) -> tuple[Problem, ...]:
+    """Return the problems of measurement files that are nowhere, and that no run would fetch."""
+    data = data_folder()
+    try:
+        run_checks(*(partial(locate, of, folder, data) for of in file.sources if not is_to_fetch(of, folder, data)))
+    except InputError as error:
+        return error.problems
+    return ()
 
 
 def _without_unit(key: str) -> str:
