@@ -104,9 +104,10 @@ CELLS = {
     "approach in words": (both(approached("0"), put("approach3", 1, "up")), ["3: column 'approach3': expected a number"]),
     "sigma zero": (put("sigma_mm", 3, "0"), ["5: sigma: expected a positive standard deviation"]),
     "sigma negative": (put("sigma_mm", 3, "-1"), ["5: sigma: expected a positive standard deviation"]),
-    "row twice": (put("repeat", 1, "1"), ["3: duplicate pose: the same pose, repeat and marker stand in an earlier row"]),
+    "row twice": (put("repeat", 1, "1"), ["3: duplicate pose: the same pose, repeat and marker stand in line 2"]),
     "pose number twice": (both(put("pose", 2, "1"), put("repeat", 2, "3")),
-                          ["4: duplicate pose: this pose number has other joint readings in an earlier row"]),
+                          ["4: duplicate pose: give each pose a number of its own, or leave out the column pose; this number has "
+                           "other joint readings in line 2"]),
     "split of neither": (both(with_columns(split="train"), put("split", 2, "test")), ["4: split: expected 'train' or 'holdout'"]),
     "split empty": (both(with_columns(split="train"), put("split", 2, "")), ["4: split: expected 'train' or 'holdout'"]),
     "split within a pose": (both(with_columns(split="train"), put("split", 1, "holdout")),

@@ -193,9 +193,9 @@ CONVENTIONS = {
 
 @pytest.mark.parametrize(("names", "written"), CONVENTIONS.values(), ids=CONVENTIONS)
 def test_orientations_come_in_whatever_their_convention(folder, names, written):
-    """Fails if angles are taken in another convention, or the tool's turn that is proposed is another's."""
+    """Fails if angles are taken in another convention, or the tool's turn that is proposed is another's, or minus nothing."""
     robot = cf.Robot.from_toml(folder / "robot.toml")
-    of, tool = campaign(robot, 6), (0.1, -0.2, 1.5)
+    of, tool = campaign(robot, 6), (0.1, -2e-4, 1.5)
     turned = replace(robot, tool_rotation=tool)
     model = build(turned, ())
     rows = np.zeros((model.n_conditions, len(of.q)))
@@ -205,7 +205,7 @@ def test_orientations_come_in_whatever_their_convention(folder, names, written):
     (folder / "theirs.csv").write_text(table(of, heading, np.rad2deg(of.q), of.points, written(turns)))
     said = in_process("import", folder / "theirs.csv", "--into", folder, "--dry-run").err
     assert (
-        "with tool_rotation_deg = [5.7, -11.5, 85.9] in the robot file and --sigma-rotation-mrad they come in" in said
+        "with tool_rotation_deg = [5.7, 0.0, 85.9] in the robot file and --sigma-rotation-mrad they come in" in said
     )
     turned.to_toml(folder / "robot.toml")
     assert in_process("import", folder / "theirs.csv", "--into", folder, "--sigma-rotation-mrad", "0.1").code == 0

@@ -54,6 +54,7 @@ def test_the_calibration_s_own_file_is_no_proof(measured):
     (measured / "own.csv").write_text("\n".join(lines[:40]))
     proof = measured.calflow("validate", measured / "runs", measured / "own.csv", "--tolerance-mm", 1)
     assert proof.code == 2
+    assert proof.err.startswith(f"{measured / 'own.csv'}: ")
     assert "were fitted and prove nothing" in proof.err
     new = measured.calflow("validate", measured / "runs", measured / "new.csv", "--out", measured / "new")
     assert "the very file" not in new.err

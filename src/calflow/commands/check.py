@@ -21,6 +21,7 @@ from calflow.commands.console import (
     say,
     say_notes,
 )
+from calflow.files.words import plural
 
 if TYPE_CHECKING:
     from calflow.deployment.validation import Station
@@ -56,7 +57,7 @@ def check_command(study: Path) -> None:
     say(f"the nominal robot's error, base and tool {source}:")
     for row in checked.nominal.itertuples():
         say(f"  {row.split:8} mean {row.mean:.3f} {row.unit}, max {row.max:.3f} {row.unit}")
-    say(f"{checked.n_parameters} parameters: {', '.join(loaded.file.effects)}")
+    say(f"{plural(checked.n_parameters, 'parameter')}: {', '.join(loaded.file.effects)}")
     for name, demand in checked.demands.items():
         if demand.words:
             say(f"{name} will take {demand.words}")
@@ -67,17 +68,17 @@ def check_command(study: Path) -> None:
 
 
 def _counted(path: Path, data: Measurements) -> str:
-    fitted = data.table.loc[data.train, "pose"].nunique()
-    return f"{path}: {len(data)} rows, {data.table['pose'].nunique()} poses, {fitted} of them to fit"
+    every, fitted = (table["pose"].nunique() for table in (data.table, data.table.loc[data.train]))
+    return f"{path}: {plural(len(data), 'row')}, {plural(every, 'pose')}, {fitted} of them to fit"
 
 
 @click.command("check-poses", cls=ArgumentCommand)
 @click.argument("study_or_run", type=FILE)
-@click.argument("rows", metavar="MEASURED.csv", type=FILE)
+@click.argument("data", metavar="MEASURED.csv", type=FILE)
 @click.option("--number", type=int, default=8, show_default=True, help="How many poses to choose.")
 @click.option("--out", type=FILE, help="CSV to write; printed by default.")
 @OVER
-def check_poses_command(study_or_run: Path, rows: Path, number: int, out: Path | None, force: bool) -> None:
+def check_poses_command(study_or_run: Path, data: Path, number: int, out: Path | None, force: bool) -> None:
     """Choose from the poses in MEASURED.csv those by which `calflow drift` can best tell what has moved.
 
     Give the run's folder, or its study. MEASURED.csv is the calibration's own file, or any other file of measured poses.
@@ -86,7 +87,7 @@ def check_poses_command(study_or_run: Path, rows: Path, number: int, out: Path |
     from calflow.reporting.drift_report import seen_from
 
     calibration = cf.Calibration.load(study_or_run)
-    chosen = cf.choose_check_poses(calibration, cf.rows_measured(calibration, rows), number)
+    chosen = cf.choose_check_poses(calibration, cf.rows_measured(calibration, data), number)
     say(seen_from(chosen.foreseen), err=True)
     source = calibration.source
     deliver(csv_text(chosen.table, separator=source.separator, decimal=source.decimal), out, force)
@@ -94,7 +95,7 @@ def check_poses_command(study_or_run: Path, rows: Path, number: int, out: Path |
 
 @click.command("validate", cls=ArgumentCommand)
 @click.argument("study_or_run", type=FILE)
-@click.argument("rows", metavar="NEW.csv", type=FILE)
+@click.argument("data", metavar="NEW.csv", type=FILE)
 @click.option("--tolerance", type=NUMBER, help="As --tolerance-mm, in the unit of what was measured: px, mrad, N, …")
 @click.option("--tolerance-mm", type=NUMBER, help="The largest error that a pose may have; asks for a verdict.")
 @click.option(
@@ -118,7 +119,7 @@ def check_poses_command(study_or_run: Path, rows: Path, number: int, out: Path |
     "--out", type=FILE, help="Folder for tables and report; validate/<name of NEW.csv> in the run folder by default."
 )
 def validate_command(
-    study_or_run: Path, rows: Path, out: Path | None, tolerance_mm: float | None, tolerance: float | None, series: str,
+    study_or_run: Path, data: Path, out: Path | None, tolerance_mm: float | None, tolerance: float | None, series: str,
     **asked: Any,
 ) -> None:  # fmt: skip
     """Validate the calibrated robot with NEW.csv, measurements to which it was not fitted.
@@ -133,18 +134,18 @@ def validate_command(
     from calflow.run_folder import run_folder
     from calflow.runs.kept import keep
 
-    folder = out or inside(run_folder(study_or_run), f"validate/{rows.stem}")
+    folder = out or inside(run_folder(study_or_run), f"validate/{data.stem}")
     calibration = cf.Calibration.load(study_or_run)
-    data = cf.rows_measured(calibration, rows, series)
-    unit = unit_of(data)
+    measured = cf.rows_measured(calibration, data, series)
+    unit = unit_of(measured)
     if tolerance is not None and tolerance_mm is not None:
         raise refuse("is stated twice: expected this or --tolerance", key="tolerance")
     if tolerance_mm is not None and unit.label != "mm":
         raise refuse(f"these rows are judged in {unit.label}: expected --tolerance in that unit", key="tolerance")
     shown = tolerance if tolerance_mm is None else tolerance_mm
-    validation = calibration.validate(data, tolerance=None if shown is None else shown / unit.scale, **asked)
+    validation = calibration.validate(measured, tolerance=None if shown is None else shown / unit.scale, **asked)
     title = calibration.title
-    keep(folder, validation, title, lambda: validation_report(validation, title, rows.name))
+    keep(folder, validation, title, lambda: validation_report(validation, title, data.name))
     say(*verdict_lines(validation))
     say_notes(validation.summary.notes)
     say(f"report: {folder / 'report.pdf'}")
@@ -153,13 +154,13 @@ def validate_command(
 
 @click.command("drift", cls=ArgumentCommand)
 @click.argument("study_or_run", type=FILE)
-@click.argument("rows", metavar="NEW.csv", type=FILE)
+@click.argument("data", metavar="NEW.csv", type=FILE)
 @FALSE_ALARM
 @STATION
 @click.option(
     "--out", type=FILE, help="Folder for tables and report; drift/<name of NEW.csv> in the run folder by default."
 )
-def drift_command(study_or_run: Path, rows: Path, false_alarm: float, station: Station, out: Path | None) -> None:
+def drift_command(study_or_run: Path, data: Path, false_alarm: float, station: Station, out: Path | None) -> None:
     """Tell by five to ten check poses in NEW.csv whether anything has moved since the calibration, and what.
 
     Give the run's folder, or its study. Exit code: 0 if nothing has moved, 3 if something has, 4 if the poses are off
@@ -174,12 +175,12 @@ def drift_command(study_or_run: Path, rows: Path, false_alarm: float, station: S
 
     if not 1e-3 <= false_alarm <= 0.5:  # a lower rate would need more random draws
         raise refuse(f"expected 0.001 to 0.5, found {false_alarm:g}", key="false_alarm")
-    folder = out or inside(run_folder(study_or_run), f"drift/{rows.stem}")
+    folder = out or inside(run_folder(study_or_run), f"drift/{data.stem}")
     calibration = cf.Calibration.load(study_or_run)
-    data = cf.rows_measured(calibration, rows)
-    result = cf.drift(calibration, data, false_alarm=false_alarm, station=station, seed=calibration.seed)
+    measured = cf.rows_measured(calibration, data)
+    result = cf.drift(calibration, measured, false_alarm=false_alarm, station=station, seed=calibration.seed)
     title = calibration.title
-    keep(folder, result, title, lambda: drift_report(result, title, rows.name))
+    keep(folder, result, title, lambda: drift_report(result, title, data.name))
     say(*drift_lines(result), after_drift(result))
     say_notes(result.summary.notes)
     say(f"report: {folder / 'report.pdf'}")

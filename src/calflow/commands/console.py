@@ -65,13 +65,14 @@ FALSE_ALARM = click.option(
 
 
 class ArgumentCommand(click.Command):
-    """A command that reports errors in arguments of its function under the names of its options."""
+    """A command that reports errors in arguments of its function under the names of its options, or of the file given."""
 
     def invoke(self, ctx: click.Context) -> Any:
         """Call the function.
 
         Raises:
-            InputError: as the function does, with `--task` instead of `task`, `--tolerance-mm` instead of `tolerance`.
+            InputError: as the function does, with `--task` instead of `task`, `--tolerance-mm` instead of `tolerance`, and the
+                file's name instead of `data`.
         """
         from calflow.files.problems import InputError
 
@@ -79,7 +80,17 @@ class ArgumentCommand(click.Command):
             return super().invoke(ctx)
         except InputError as error:
             options = self._options()
-            problems = (replace(problem, key=options.get(problem.key or "", problem.key)) for problem in error.problems)
+            files = {
+                param.name: ctx.params.get(param.name or "")
+                for param in self.params
+                if param.param_type_name == "argument"
+            }
+            problems = (
+                replace(problem, file=file, key=None)
+                if isinstance(file := files.get(problem.key or ""), Path) and not problem.file
+                else replace(problem, key=options.get(problem.key or "", problem.key))
+                for problem in error.problems
+            )
             raise InputError(problems) from None
 
     def _options(self) -> dict[str, str]:

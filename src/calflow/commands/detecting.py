@@ -10,6 +10,7 @@ import click
 from calflow.commands.console import FILE, say, say_notes
 from calflow.files.deferred import pd
 from calflow.files.problems import Problem, escaped, refuse, refuse_any
+from calflow.files.words import plural
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 READING = re.compile(r"q\d+_\w+")  # the name of a column of joint readings
@@ -57,7 +58,7 @@ def detect_command(images: tuple[Path, ...], target: Path, joints: Path | None, 
         write_whole(into / "detections" / f"{Path(name).stem}.png", picture)
     reasons = pd.DataFrame({"image": list(left_out), "reason": list(left_out.values())})
     write_text(into / "detections" / "left_out.csv", csv_text(reasons))
-    say(f"{len(table)} points in {table['image'].nunique()} of {len(files)} images")
+    say(f"{plural(len(table), 'point')} in {table['image'].nunique()} of {plural(len(files), 'image')}")
     if "repeat" in table:
         say(f"images with the same joint readings are repeats of one pose: {table['pose'].nunique()} poses")
     say(*(f"left out: {escaped(name)} {reason}" for name, reason in list(left_out.items())[:MOST_SAID]))
@@ -85,7 +86,9 @@ def _check_readings(readings: pd.DataFrame, files: list[str], path: Path | None)
     missing = readings[joints].apply(pd.to_numeric, errors="coerce").isna().any(axis=1)
     each = readings.drop_duplicates(["image", *joints])
     wrong = dict.fromkeys(readings.index[missing], "expected a number in each of its joint columns")
-    wrong |= dict.fromkeys(each.index[each.duplicated("image")], "has other joint readings in an earlier row")
+    first = dict(zip(each["image"][::-1], each.index[::-1], strict=True))
+    again = each.index[each.duplicated("image")]
+    wrong |= {row: f"has other joint readings in line {first[readings['image'][row]]}" for row in again}
     refuse_any(Problem(f"{readings['image'][row]}: {what}", path, row) for row, what in wrong.items())
     absent = [name for name in dict.fromkeys(readings["image"].astype(str)) if name not in files]
     more = f" and {len(absent) - 1} more" if len(absent) > 1 else ""

@@ -12,6 +12,7 @@ import click
 import calflow as cf
 from calflow.commands.console import FILE, NUMBER, say, say_notes, show_table
 from calflow.files.problems import Problem, escaped, refuse, refuse_any
+from calflow.files.words import plural
 
 if TYPE_CHECKING:
     from calflow.importing.proposal import ColumnOrigin
@@ -69,7 +70,7 @@ def import_command(
     show_table(mapping, ("column", "from", "how", "why"))
     say_notes(proposal.notes)
     poses = proposal.table["pose"].nunique()
-    say(f"{len(proposal.table)} rows, {poses} poses")
+    say(f"{plural(len(proposal.table), 'row')}, {plural(poses, 'pose')}")
     if dry_run:
         return
     write_text(target, csv_text(proposal.table))

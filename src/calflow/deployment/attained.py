@@ -20,6 +20,7 @@ from calflow.estimation.noise import conditions, members
 from calflow.files.deferred import Rotation, pd
 from calflow.files.problems import refuse
 from calflow.files.units import METRE, MeasurementUnit
+from calflow.files.words import plural
 from calflow.measurements.measurements import Measurements
 from calflow.observations import leading_units
 from calflow.robot.frames import crossing
@@ -300,9 +301,9 @@ class Attained:
             return replace(self, fitted=np.array(elsewhere) & (station == "auto"))
         for name, motion, rows in sessions:
             if motion is None:
-                named = f"session '{name}' has" if name else "there are"
+                named = f"session '{name}'" if name else "the whole"
                 raise refuse(
-                    f"the device's frame cannot be fitted: {named} {rows.sum()} points; "
+                    f"the device's frame cannot be fitted: {named} has {plural(int(rows.sum()), 'point')}; "
                     f"expected at least {FEWEST_FOR_FRAME} that are not on one line, or say that the station stands where it stood "
                     "(--station known)"
                 )

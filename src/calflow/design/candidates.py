@@ -99,7 +99,7 @@ def candidates(
     left, refused = "reach the region", ""
     if cell is not None:
         left, refused = "are left", f" Of those there {refused_words(np.concatenate(refusals))}"
-    base = ", ".join(f"{1e3 * value:.0f}" for value in model.robot.base.origin)
+    base = ", ".join(f"{1e3 * value:z.0f}" for value in model.robot.base.origin)
     loop = ", and does its four-bar loop close there" if model.robot.loop else ""
     asked = f"is the region within the robot's reach{loop}? It is in the measuring frame, with the base at ({base}) mm."
     if observation is not None and touches:  # there is no region then

@@ -26,6 +26,7 @@ from calflow.estimation.residual_field import (
 from calflow.files.deferred import pd
 from calflow.files.tables import Results, to_document, to_frame
 from calflow.files.units import METRE
+from calflow.files.words import plural
 from calflow.measurements.measurements import Measurements
 
 MIN_POSES = 16  # poses, below which no field is learnt
@@ -80,7 +81,7 @@ class FieldGain:
     def statement(self) -> str:
         """The result in a sentence."""
         if not self.blocks:
-            return f"residual field ({NOT_PHYSICAL}) not applied: {self.poses} poses with positions are too few for it"
+            return f"residual field ({NOT_PHYSICAL}) not applied: {plural(self.poses, 'pose')} with positions, too few for it"
         were = "the root mean square goes from {:.3f} mm to {:.3f} mm".format(*self.rms_mm)
         if not self.gains:
             return (

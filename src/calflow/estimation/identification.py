@@ -29,6 +29,7 @@ from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
 from calflow.estimation.registration import registered_model
 from calflow.files.problems import refuse
 from calflow.files.units import METRE
+from calflow.files.words import plural
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, build, stated
 from calflow.observations.base import USUAL_SIZE_SD
@@ -154,7 +155,7 @@ def fit_effects(
         if wrong := too_few_equations(model, train):
             raise refuse(wrong, source)
         name = " + ".join(effect_ids(effects[:k]))
-        say(f"{name}: {len(model.parameters)} parameters, {len(train)} rows")
+        say(f"{name}: {plural(len(model.parameters), 'parameter')}, {plural(len(train), 'row')}")
         if k == len(effects):
             few = representative(part, START_ROWS)
             at_few = partial(LeastSquares.of, data=part.only(few), noise=noise_of_part.only(few))
@@ -195,8 +196,8 @@ def too_few_equations(model: Model, train: Measurements) -> str:
         return ""
     poses = train.table["pose"].nunique()
     wanted = -(-unknown * poses // equations)
-    return (f"{equations} equations ({poses} training poses) for {unknown} parameters: measure at least "
-            f"{wanted} training poses, better twice as many")  # fmt: skip
+    return (f"{plural(equations, 'equation')} ({plural(poses, 'training pose')}) for {plural(unknown, 'parameter')}: measure "
+            f"at least {wanted} training poses, better twice as many")  # fmt: skip
 
 
 def without_wrong_size(model: Model, at_rows: Callable[[Model], LeastSquares], say: Say = nobody) -> Model:

@@ -53,7 +53,7 @@ class Joined:
         if not is_recording(time):
             return self
         stood = _enough_standstills(self.title, time, _rough_readings(self.columns, self.roles, robot))
-        note = f"a recording of {len(self)} rows: its {len(stood)} standstills are the rows"
+        note = f"a recording of {len(self)} rows: the rows are its {plural(len(stood), 'standstill')}"
         return replace(self, columns=_at_standstills(self.columns, time, stood), notes=(*self.notes, note))
 
 
@@ -88,7 +88,7 @@ def _untold(table: ForeignTable, own: Roles, n: int) -> Problem:
     """The problem of a table that has not both n columns of joints and a point: what cannot be told, and how to name it."""
     titles = ", ".join(f"'{truncated(column.title)}'" for column in table.columns[:12])
     joints, points = _has_joints(own, table, n), _has_points(own, table, n)
-    what = [f"{n} columns of joints"] * (not joints) + ["x, y and z of a measured point"] * (not points)
+    what = [f"{plural(n, 'column')} of joints"] * (not joints) + ["x, y and z of a measured point"] * (not points)
     options = ["--column q1_deg=NAME"] * (points or not joints)
     options += ["--column x_mm=NAME --column y_mm=NAME --column z_mm=NAME"] * (joints or not points)
     part = f"{table.part}: " if table.part else ""
@@ -163,8 +163,9 @@ def _side_by_side(joints: tuple[ForeignTable, Roles], points: tuple[ForeignTable
         return _by_time(first, of_joints, mine_at, readings, other, of_points, theirs_at)
     if len(first) != len(other):
         raise refuse(
-            f"{first.title} has {len(first)} rows of joints and {other.title} {len(other)} of points, and nothing that both have "
-            "says which belong together: expected a column of pose numbers in both, as many rows, or a recording with times",
+            f"{first.title} has {plural(len(first), 'row')} of joints and {other.title} {len(other)} of points, and "
+            "nothing that both have says which belong together: expected a column of pose numbers in both, as many rows, or a "
+            "recording with times",
             first.path,
         )
     note = f"rows of {first.title} and {other.title} belong together in their order: there are {len(first)} of each"
@@ -280,8 +281,8 @@ def _by_time(
             other = replace(other, columns=_at_standstills(other.columns, theirs_at, theirs))
     if len(stood) != len(other):
         raise refuse(
-            f"the robot stands still {len(stood)} times in {first.title}, and {other.title} has {len(other)} points on another "
-            "clock: which belong together cannot be told; expected as many, or one clock",
+            f"the robot stands still {plural(len(stood), 'time')} in {first.title}, and {other.title} has "
+            f"{plural(len(other), 'point')} on another clock: which belong together cannot be told; expected as many, or one clock",
             first.path,
         )
     note = (

@@ -256,7 +256,7 @@ def _doubts(joined: Joined, robot: Robot, choice: Choice, name: str) -> Iterator
     if abs(taken.scale - 1) > 0.02:
         yield f"the points are {rounded(taken.scale)} times as far apart as the robot's: is their unit {choice.unit}?"
     if marker.known and np.linalg.norm(taken.marker - np.array(marker.point)) > 0.02:
-        place = ", ".join(f"{1e3 * v:.0f}" for v in taken.marker)
+        place = ", ".join(f"{1e3 * v:z.0f}" for v in taken.marker)
         yield (
             f"marker '{name}' is near ({place}) mm by these points, and elsewhere in the robot file: known = false there lets"
             " the poses say where"
@@ -289,7 +289,7 @@ def _orientations(
         notes.append("orientations are left out: in no convention do they turn as the robot does")
         return []
     if flange.robot.tool_rotation is None or sigma is None:
-        tool = ", ".join(f"{np.rad2deg(angle):.1f}" for angle in orientations.tool)
+        tool = ", ".join(f"{np.rad2deg(angle):z.1f}" for angle in orientations.tool)
         wanted = [
             *([f"tool_rotation_deg = [{tool}] in the robot file"] if flange.robot.tool_rotation is None else []),
             *(["--sigma-rotation-mrad"] if sigma is None else []),

@@ -19,6 +19,7 @@ import numpy as np
 
 from calflow.files.deferred import pd
 from calflow.files.problems import CONTROL, Problem, nearest, refuse, refuse_any, regular_file, truncated
+from calflow.files.words import plural
 
 MAX_ROWS_TOLD = 5  # a message names this many rows of a kind, and counts the others
 REMEDY = 'save it as "CSV UTF-8 (comma delimited)", as Excel calls it'
@@ -82,15 +83,21 @@ class Dialect:
         return names
 
 
-def at_rows(bad: Any, table: pd.DataFrame, path: Path | None, message: str) -> list[Problem]:
-    """Return a problem for each of the first few bad rows, and one that counts the others."""
-    lines = list(dict.fromkeys(table["line"].to_numpy()[np.asarray(bad, dtype=bool)]))
-    problems = [
-        Problem(message, path, int(line)) if path else Problem(message, key=f"row {line}")
-        for line in lines[:MAX_ROWS_TOLD]
-    ]
-    if len(lines) > MAX_ROWS_TOLD:
-        problems.append(Problem(f"{message} (and {len(lines) - MAX_ROWS_TOLD} more rows)", path))
+def at_rows(bad: Any, table: pd.DataFrame, path: Path | None, message: str, earlier: Any = None) -> list[Problem]:
+    """Return a problem for each of the first few bad rows, and one that counts the others.
+
+    earlier (n_rows,) is the line of the row that each contradicts, if any, with which the message ends.
+    """
+    wrong, line = np.asarray(bad, dtype=bool), table["line"].to_numpy()
+    contradicted = line if earlier is None else np.asarray(earlier)
+    lines = dict(zip(line[wrong].tolist(), contradicted[wrong].tolist(), strict=True))
+    kind, problems = "line" if path else "row", list[Problem]()
+    for at, first in list(lines.items())[:MAX_ROWS_TOLD]:
+        told = message if earlier is None else f"{message} in {kind} {first}"
+        problems.append(Problem(told, path, at) if path else Problem(told, key=f"row {at}"))
+    if further := len(lines) - len(problems):
+        told = message if earlier is None else f"{message} in earlier rows"
+        problems.append(Problem(f"{told} (and {plural(further, 'more row')})", path))
     return problems
 
 

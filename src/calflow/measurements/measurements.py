@@ -19,6 +19,7 @@ from pydantic import Field
 from calflow.files.deferred import Rotation, pd
 from calflow.files.problems import refuse
 from calflow.files.toml import Seed, checked_arguments
+from calflow.files.words import plural
 from calflow.measurements.rows import (
     ANGLES,
     POSITION,
@@ -158,7 +159,7 @@ class Measurements:
                 words[f"{name}s"] = ", ".join(str(value) or "none" for value in self.table[name].unique())
         words["given"] = ", ".join(self.given) or "nothing optional"
         if "split" in self.table:
-            words["split"] = f"{self.train.sum()} rows to fit, {self.held_out.sum()} held out"
+            words["split"] = f"{plural(int(self.train.sum()), 'row')} to fit, {self.held_out.sum()} held out"
         return words
 
     def __len__(self) -> int:

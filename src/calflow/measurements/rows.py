@@ -28,6 +28,7 @@ from calflow.files.problems import (
 )
 from calflow.files.tables import NUMBER, changed, unquoted
 from calflow.files.units import LARGEST, SUFFIXES, split_unit, to_si
+from calflow.files.words import plural
 from calflow.measurements.cells import EMPTY, MAX_ROWS_TOLD, Dialect, at_rows, read_cells
 from calflow.robot.frames import angles
 from calflow.robot.mechanism import BY_JOINT
@@ -201,7 +202,7 @@ def check_header(columns: Sequence[ReadColumn], layout: Layout, robot: Robot, co
     ]  # fmt: skip
     unknown = [_mistake(column, first, allowed) for column in wrong[:MOST_TOLD]]
     if len(wrong) > MOST_TOLD:
-        unknown.append(f"and {len(wrong) - MOST_TOLD} more columns like these")
+        unknown.append(f"and {plural(len(wrong) - MOST_TOLD, 'more column')} like these")
     missing: list[str] = []
     for marker in dict.fromkeys([column.marker for column in columns if column.marker] or [""]):
         columns_of = {column.name: column for column in columns if column.marker in ("", marker)}
@@ -284,16 +285,18 @@ def check_values(table: pd.DataFrame, robot: Robot, path: Path | None, reported:
         problems += at_rows(split.isna(), table, path, "split: expected 'train' or 'holdout'")
         mixed = split.groupby(table["pose"]).transform("nunique") > 1
         problems += at_rows(mixed, table, path, "split: one pose is in train and in holdout; held out is a whole pose")
-    twice = table.duplicated(["repeat", *_repeat_keys(table, reported)], keep="first") & (table["pose"] != "")
-    problems += at_rows(twice, table, path, "duplicate pose: the same pose, repeat and marker stand in an earlier row")
+    keys = ["repeat", *_repeat_keys(table, reported)]
+    twice = table.duplicated(keys, keep="first") & (table["pose"] != "")
+    first = table.groupby(keys, dropna=False, sort=False)["line"].transform("first")
+    problems += at_rows(twice, table, path, "duplicate pose: the same pose, repeat and marker stand", first)
     joints = table[numbered("q", robot.n_joints)]
     moved = (joints - joints.groupby(table["pose"]).transform("first")).abs().max(axis=1) > MOVED
     problems += at_rows(
         moved & ~twice,
         table,
         path,
-        "duplicate pose: this pose number has other joint readings in an earlier row; give each "
-        "pose a number of its own, or leave out the column pose",
+        "duplicate pose: give each pose a number of its own, or leave out the column pose; this number has other joint readings",
+        table.groupby("pose", sort=False)["line"].transform("first"),
     )
     return problems
 
@@ -428,7 +431,8 @@ def _contradiction(table: pd.DataFrame, robot: Robot, joint: int, path: Path | N
     unit, factor = robot.joints[joint].shown
     return Problem(
         f"q{joint + 1}: joint {joint + 1} has no drive of its own, it follows {leaders}: expected no column q{joint + 1}, or the "
-        f"joint's own {robot.joints[joint].noun}; {len(bad)} rows are off by up to {factor * float(error[bad].max()):.3g} {unit}",
+        f"joint's own {robot.joints[joint].noun}; off by up to {factor * float(error[bad].max()):.3g} {unit} in "
+        f"{plural(len(bad), 'row')}",
         path,
         line,
     )
@@ -528,7 +532,7 @@ def _no_number(wrong: pd.Series, column: ReadColumn, layout: Layout) -> str:
     first, more = truncated(str(wrong.iloc[0])), len(wrong) - 1
     other = "," if layout.decimal == "." else "."
     hint = f" (written with '{other}'? say decimal = \"{other}\" in the study)" if other in first else ""
-    count = f" (and {more} more rows)" if more else ""
+    count = f" (and {plural(more, 'more row')})" if more else ""
     return f"{column}: expected a number, found '{first}'{hint}{count}"
 
 
@@ -675,7 +679,8 @@ def kept(table: pd.DataFrame, layout: Layout, path: Path | None) -> tuple[pd.Dat
     named = ", ".join(map(str, lines[:MAX_ROWS_TOLD]))
     more = f" and {len(lines) - MAX_ROWS_TOLD} more" if len(lines) > MAX_ROWS_TOLD else ""
     asked = 'missing = "skip": ' if layout.missing == "skip" else ""
-    note = f"{asked}{missing.sum()} of {len(missing)} rows have no measured value and are left out (line {named}{more})"
+    have, are = ("has", "is") if missing.sum() == 1 else ("have", "are")
+    note = f"{asked}{missing.sum()} of {len(missing)} rows {have} no measured value and {are} left out (line {named}{more})"
     return table[~missing].reset_index(drop=True), [note]
 
 

@@ -9,7 +9,7 @@ from calflow.deployment.run_outcome import RunOutcome
 from calflow.deployment.usability import judgement
 from calflow.design.next_poses import MeasuringVerdict, Suspect
 from calflow.diagnosis.findings import Finding
-from calflow.files.words import capped, mm, number, sureness
+from calflow.files.words import capped, mm, number, plural, sureness
 from calflow.reporting.advice import WRONG, advice
 from calflow.reporting.sections.causes import gain_words, shows_gain
 from calflow.reporting.sections.verdict import VERDICT_SECTION, headline, named_steps
@@ -76,7 +76,7 @@ def _answer(verdict: MeasuringVerdict) -> str:
     if verdict.status == "nothing measured":
         return "nothing measured yet: poses to begin with"
     if verdict.status == "too few":
-        return f"{verdict.poses} poses are too few to identify anything"
+        return f"too few to identify anything: {plural(verdict.poses, 'pose')}"
     if verdict.tolerance_mm is None or verdict.probability is None:
         return "no tolerance stated (--tolerance-mm, or tolerance_mm in [stages.select]): nothing to stop at"
     within = f"the tool is within {mm(verdict.tolerance_mm)} mm over the task ({MEASURES[verdict.measure]})"
@@ -97,7 +97,7 @@ def _figures(verdict: MeasuringVerdict) -> Iterator[str]:
     parts += [f"held out {mm(verdict.heldout_rms_mm)} mm"] if verdict.heldout_rms_mm is not None else []
     parts += [f"noise {mm(verdict.noise_mm)} mm per axis"] if verdict.noise_mm is not None else []
     errors = f"; errors as measured (RMS): {', '.join(parts)}" if parts else ""
-    yield f"{verdict.poses} poses, {verdict.fitted_poses} fitted{errors}"
+    yield f"{plural(verdict.poses, 'pose')}, {verdict.fitted_poses} fitted{errors}"
     if not verdict.noise_known:
         yield (
             "the noise is not known independently of the fit, so all residuals count as the robot's own error. Repeat some poses, "
