@@ -204,9 +204,7 @@ def test_orientations_come_in_whatever_their_convention(folder, names, written):
     heading = f"J1,J2,J3,J4,J5,J6,X,Y,Z,{names}"
     (folder / "theirs.csv").write_text(table(of, heading, np.rad2deg(of.q), of.points, written(turns)))
     said = in_process("import", folder / "theirs.csv", "--into", folder, "--dry-run").err
-    assert (
-        "with tool_rotation_deg = [5.7, 0.0, 85.9] in the robot file and --sigma-rotation-mrad they come in" in said
-    )
+    assert "with tool_rotation_deg = [5.7, 0.0, 85.9] in the robot file and --sigma-rotation-mrad they come in" in said
     turned.to_toml(folder / "robot.toml")
     assert in_process("import", folder / "theirs.csv", "--into", folder, "--sigma-rotation-mrad", "0.1").code == 0
     data = cf.Measurements.from_csv(folder / "measurements.csv", turned)

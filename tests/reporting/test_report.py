@@ -26,6 +26,7 @@ from calflow.reporting.blocks import Block, Bullets, Divider, Gap, Heading, Para
 from calflow.reporting.section import Section, sections
 from calflow.reporting.sections import residuals
 from calflow.reporting.sections.accuracy import certainty_words
+from calflow.reporting.sections.isolability import MOST, near_figure, near_rivals
 from calflow.reporting.sections.parameters import PARAMETERS_SECTION
 from calflow.reporting.sections.posterior import POSTERIOR_SECTION
 from calflow.reporting.style import style
@@ -383,9 +384,27 @@ def test_what_a_plan_tells_apart_is_drawn_and_said(small: Context):
     given = replace(small, results=small.results | Results({"select/isolability.csv": table}))
     told = source_of(given)
     assert "Of 3 causes 2 would be detected, and 1 of these distinguished from all others." in told
+    assert "Not detected at this size: slack of joint 1." in told
     assert f"P{gap[1:]}." in told
     assert "nothing tried" not in told.replace("what nothing tried fills", "")
     assert any(item.sentence == f"P{gap[1:]}." for item in advice(RunOutcome(given.results)))
+
+
+def test_the_causes_that_a_plan_mistakes_can_be_read() -> None:
+    """Fails if a catalogue of a hundred causes is drawn too small to be read, or the worst ones are not those that are drawn."""
+    causes = [f"cause{k}" for k in range(100)]
+    cells = [cell(cause, "", 1.0, "") for cause in causes]
+    cells += [cell(cause, f"rival{n}", (k + n) / 200, "") for k, cause in enumerate(causes) for n in (1, 0)]
+    near = near_rivals(
+        [cell("missed", "", 0.5, ""), cell("missed", "rival0", 0.0, ""), *cells, cell("apart", "", 1.0, "")]
+    )
+    assert [[pair.rival for pair in rivals] for rivals in near] == [["rival0", "rival1"]] * 100
+    assert [rivals[0].cause for rivals in near] == causes
+    with style():
+        (axes,) = near_figure(near[:MOST]).axes
+    labels = axes.get_yticklabels()
+    assert [label.get_text() for label in labels] == [f"{cause} of joint 1" for cause in causes[:MOST]]
+    assert 72 * axes.figure.get_figheight() / MOST > 1.3 * labels[0].get_fontsize() > 1.3 * 6.5
 
 
 def cell(true: str, rival: str, chance: float, words: str) -> IsolabilityCell:
