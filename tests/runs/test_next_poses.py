@@ -60,7 +60,7 @@ def test_it_begins_without_measurements_and_goes_on_until_there_is_a_verdict(sma
     small.measure(rows[rows["pose"].isin(rows["pose"].unique()[:6])])
     few = in_process("next", small.path)
     assert few.code == 4
-    assert "6 poses are too few" in few.out
+    assert "6 poses: too few" in few.out
     assert "measure at least" in few.out
 
 

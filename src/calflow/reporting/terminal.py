@@ -76,7 +76,7 @@ def _answer(verdict: MeasuringVerdict) -> str:
     if verdict.status == "nothing measured":
         return "nothing measured yet: poses to begin with"
     if verdict.status == "too few":
-        return f"too few to identify anything: {plural(verdict.poses, 'pose')}"
+        return f"{plural(verdict.poses, 'pose')}: too few to identify anything"
     if verdict.tolerance_mm is None or verdict.probability is None:
         return "no tolerance stated (--tolerance-mm, or tolerance_mm in [stages.select]): nothing to stop at"
     within = f"the tool is within {mm(verdict.tolerance_mm)} mm over the task ({MEASURES[verdict.measure]})"
