@@ -16,6 +16,7 @@ from calflow.deployment.figures_alone import FIGURES, LEVELS
 from calflow.deployment.run_outcome import RunOutcome
 from calflow.design.candidates import candidates
 from calflow.estimation.calibrated_model import Alternative, CalibratedModel
+from calflow.estimation.model_tables import read_error_model
 from calflow.files.tables import Results
 from calflow.measurements.series import Series
 from calflow.model import Model, build
@@ -213,12 +214,40 @@ def test_the_noise_of_a_session_is_loaded_as_it_was_saved(tmp_path):
     found = calibration.diagnose(catalogue=["joint-backlash", "joint-eccentricity"])
     loaded = assert_loaded(found, tmp_path / "diagnosed")
     (device,) = loaded.device
-    assert 6 < device.by_session["wed"] < 16
-    assert "mon" not in device.by_session
-    np.testing.assert_array_equal(loaded.noise(data).sigma, np.where(noisy, device.by_session["wed"], 1.0) * 3e-5)
+    assert 6 < device.factors["session"]["wed"] < 16
+    assert "mon" not in device.factors["session"]
+    np.testing.assert_array_equal(
+        loaded.noise(data).sigma, np.where(noisy, device.factors["session"]["wed"], 1.0) * 3e-5
+    )
     assert loaded.noise(data).words.endswith("corrected where it is larger")
     (doubt,) = RunOutcome(loaded.results).noise_doubts
     assert doubt.session == "wed"
+
+
+def test_the_noise_of_a_marker_is_loaded_as_it_was_saved(tmp_path):
+    """Fails if a marker's noise is lost with the files, or a run that was saved without it is not loaded."""
+    places = {"E": [0.1, 0.02, 0.3], "F": [-0.1, 0.2, 0.25], "G": [0.15, -0.2, 0.2]}
+    case = Case(robots.industrial(markers={name: {"point_m": at} for name, at in places.items()}), ("geometry",))
+    data, rng = case.measured(1), np.random.default_rng(5)
+    table = pd.concat([data.table.assign(marker=name) for name in places], ignore_index=True)
+    data = replace(data, table=table.assign(line=np.arange(2, len(table) + 2), sigma=3e-5))
+    model, loose = build(case.robot, ("geometry",), data.given), data.table["marker"] == "F"
+    noise = np.where(loose, 3e-4, 3e-5)[:, None] * rng.standard_normal((len(data), 3))
+    seen = model.position(model.nominal, data.conditions) + noise
+    data = replace(data, table=data.table.assign(**dict(zip("xyz", seen.T, strict=True))))
+    found = cf.identify(case.robot, data, case.effects, starts=1).diagnose(catalogue=["joint-backlash"])
+    loaded = assert_loaded(found, tmp_path / "diagnosed")
+    (device,) = loaded.device
+    assert 6 < device.factors["marker"]["F"] < 16
+    np.testing.assert_array_equal(loaded.noise(data).sigma, np.where(loose, device.factors["marker"]["F"], 1.0) * 3e-5)
+    (doubt,) = RunOutcome(loaded.results).noise_doubts
+    assert (doubt.session, doubt.marker) == ("", "F")
+    name = "diagnose/noise.csv"
+    earlier = {**loaded.results.tables, name: loaded.results.tables[name].drop(columns="marker F")}
+    (older,) = read_error_model("diagnose", Results(earlier, loaded.results.documents), loaded.model.observations)[
+        "device"
+    ]
+    assert older == replace(device, factors={})
 
 
 def test_a_run_of_a_version_without_levels_of_effort_says_so(finished):

@@ -1,4 +1,4 @@
-"""Noise grows with range, or differs between sessions, where the device's own scatter does, not where the model errs more."""
+"""Noise grows with range, or differs between sessions or markers, where the scatter does, not where the model errs more."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import re
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from calflow.diagnosis.background import BackgroundBasis
@@ -13,6 +14,7 @@ from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.noise_model import NoiseLevels, levels_of_residuals, noise_of_repeats, noise_of_residuals
 from calflow.diagnosis.unexplained import POSE, Standstills, unexplained
 from calflow.estimation.accuracy import errors
+from calflow.estimation.calibrated_model import CalibratedModel, series_noise
 from calflow.estimation.fit import fit_reweighted
 from calflow.estimation.noise import averaged, measured_noise, repeats_scatter
 from calflow.files.units import METRE
@@ -33,11 +35,31 @@ def fitted(repeats, shift, sigma=lambda r: 0 * r + SIGMA, session=None, stated=F
     data.table[["x", "y", "z"]] += noise[:, None] * rng.standard_normal((len(data), 3)) + shift(data.table)
     if stated:
         data.table["sigma"] = SIGMA
-    model = build(industrial(), ("geometry",), data.given)
+    return fitted_to(data)
+
+
+def fitted_to(data):
+    """The geometry fitted to the means of rows."""
+    model = build(data.robot, ("geometry",), data.given)
     device = measured_noise(data)
     means, device = averaged(data, replace(device, scatter=repeats_scatter(data, errors(model, model.nominal, data))))
     fit, noise, lack, _ = fit_reweighted(model, means, device, model.nominal[None], "linear")
     return Fitted(fit, means, noise, lack, device)
+
+
+def seen_by_markers(loose, repeats=1, stated=False, session=None, seed=53):
+    """A robot whose poses are seen by three markers, of which B scatters `loose` times as much; geometry fitted."""
+    places = {"A": [0.1, 0.02, 0.3], "B": [-0.1, 0.2, 0.25], "C": [0.15, -0.2, 0.2]}
+    robot = industrial(markers={name: {"point_m": place} for name, place in places.items()})
+    model, rng = build(robot, ("geometry",)), np.random.default_rng(seed)
+    data = measured(model, model.nominal, 60, rng, repeats=repeats)
+    table = pd.concat([data.table.assign(marker=name) for name in places], ignore_index=True)
+    data = replace(data, table=table.assign(line=np.arange(2, len(table) + 2)))
+    noise = SIGMA * np.where(data.table["marker"] == "B", loose, 1.0)
+    place = model.position(model.nominal, data.conditions) + noise[:, None] * rng.standard_normal((len(data), 3))
+    table = data.table.assign(**dict(zip("xyz", place.T, strict=True)))
+    table = table.assign(session=session(table)) if session else table
+    return fitted_to(replace(data, table=table.assign(sigma=SIGMA) if stated else table))
 
 
 def days(table):
@@ -161,6 +183,54 @@ def test_a_noisier_session_is_told_from_the_others(repeats, stated):
         settled = seen.weighed(levels.sigma(seen.data, seen.device))
         assert settled.noise.discrepancy[METRE] == 0
         assert seen.noise.discrepancy[METRE] > SIGMA
+
+
+@pytest.mark.parametrize(("repeats", "stated"), [(1, True), (1, False), (2, True)])
+def test_a_loose_marker_is_told_from_the_others(repeats, stated):
+    """Fails if the noise of one marker is shared by all, is not sized, is a session's, or nobody is told to look at it."""
+    seen = seen_by_markers(4.0, repeats, stated, days)
+    levels = (noise_of_repeats if repeats > 1 else noise_of_residuals)(seen)
+    assert (levels.label, levels.p < 1e-3) == ("marker", True)
+    (factors,) = levels.factors
+    of_marker = np.array([factors.get(name, 1.0) for name in "ABC"])
+    np.testing.assert_allclose(of_marker[1] / of_marker[::2], 4.0, rtol=0.35)
+    if stated and repeats == 1:
+        (doubt,) = levels.doubts(seen.data, seen.device)
+        assert (doubt.session, doubt.marker, doubt.believed) == ("", "B", False)
+        assert doubt.statement.startswith("The stated noise for marker B, 0.03 mm per axis, is ")
+        assert doubt.statement.endswith("Correct sigma, unless that marker does not sit firmly.")
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_a_loose_marker_does_not_widen_what_is_promised_of_the_others(stated):
+    """Fails if rows of one marker are promised the noise of another, or its own is forgotten as the noise is not known."""
+    seen = seen_by_markers(4.0, stated=stated)
+    levels = levels_of_residuals(seen)
+    settled = seen.weighed(levels.sigma(seen.data, seen.device))
+    sigma = replace(settled.device, sigma=settled.noise.sigma / levels.factor(seen.data))
+    devices = levels.devices(series_noise(sigma), seen.data)
+    calibrated = CalibratedModel(
+        settled.model, settled.fit.estimate, settled.covariance, settled.fit.at_bound, devices,
+        settled.noise.discrepancy, settled.fit.loss, settled.errors,
+    )  # fmt: skip
+    promised = np.sqrt(calibrated.promised_variance(seen.data, METRE).mean(axis=1))
+    of_marker = [float(np.mean(promised[seen.data.labels("marker") == name])) / SIGMA for name in "ABC"]
+    # What the fit alone tells is the harmonic mean of the variances.
+    quiet = 1.1 * (1 if stated else (3 / (2 + 1 / 4**2)) ** 0.5)
+    np.testing.assert_allclose(of_marker, [quiet, 4.1, quiet], rtol=0.2)
+
+
+def test_markers_of_the_same_noise_are_not_told_apart():
+    """Fails if chance differences between markers, or a session in which one of them was seen alone, change the noise of any."""
+
+    def of_b(table):
+        return np.where(table["marker"] == "B", "tue", "mon")
+
+    for seed in range(54, 58):
+        levels = levels_of_residuals(seen_by_markers(1.0, stated=bool(seed % 2), seed=seed))
+        assert levels is None or levels.p > 0.01
+    levels = levels_of_residuals(seen_by_markers(4.0, stated=True, session=of_b))
+    assert levels.label == "session"
 
 
 def test_sessions_of_the_same_noise_are_not_told_apart():

@@ -262,16 +262,16 @@ def search_causes(
     extended = weighed(start, searched, basis, wanted, Stepwise(acceptance, rng("background"), say, nobody))
     advance(SEARCHED)
     standstills = Standstills.of(extended.fitted, basis)
+    significance = SHARES["unexplained"] * false_alarm
     shown = None if other else noise_of_residuals(extended.fitted)
     # Errors of joints that do not repeat also grow with range: they must be significant beside such noise, and it without them.
     if shown and (shown.p < alarm or len(standstills.joints)):
         noisier = replace(extended, fitted=extended.fitted.weighed(shown.sigma(train, start.device)))
         standstills = Standstills.of(noisier.fitted, basis)
-        if shown.p < alarm and not len(standstills.joints):
+        if shown.p < alarm and not standstills.significant(significance):
             extended, other = noisier, shown.levelled(noisier.fitted)
     if other:
         say(f"{other.words}, p = {other.p:.2g}")
-    significance = SHARES["unexplained"] * false_alarm
     at_rest = [standstills.unexplained(k) for k in standstills.joints]
     left = unexplained(extended.fitted, significance, rng("decoys"), say, at_rest, standstills.background)
     every = Catalogue.of(train, have)

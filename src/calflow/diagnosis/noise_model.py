@@ -1,14 +1,14 @@
 """The noise model: tests for noise of the device that grows with range, or that is larger in some set-ups than in others.
 
-A set-up is one device in one session. The test is a regression of the cube roots of squared errors, which are nearly normal for
-normal noise (Wilson and Hilferty 1931), and of finite variance for heavy tails.
+A set-up is one device in one session, or one marker that it sees. The test is a regression of the cube roots of squared errors,
+which are nearly normal for normal noise (Wilson and Hilferty 1931), and of finite variance for heavy tails.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -17,7 +17,7 @@ import scipy
 from calflow.diagnosis.fitted import MOST_LEVERAGE, Fitted
 from calflow.estimation.calibrated_model import SeriesNoise
 from calflow.estimation.lack_of_fit import WORTH_TELLING, NoiseDoubt, doubt
-from calflow.estimation.noise import MIN_REPEATS, Noise
+from calflow.estimation.noise import MIN_REPEATS, Label, Noise, deviations
 from calflow.files.deferred import pd
 from calflow.files.units import METRE
 from calflow.files.words import rounded
@@ -68,10 +68,32 @@ class Growth:
         return replace(self, floor=level * self.floor, slope=level * self.slope, sd=level * self.sd)
 
 
+@dataclass(frozen=True, eq=False)
+class SetUps:
+    """What rows may have a noise of their own: those of each series that bear one label.
+
+    label: the column that holds it; number (n_rows,): of each row's set-up; within (n_rows,): of the rows that are compared.
+    """
+
+    label: Label
+    number: np.ndarray
+    within: np.ndarray
+
+    @staticmethod
+    def every(data: Measurements) -> tuple[SetUps, SetUps]:
+        """Return each device in each session, all of which are compared, and its markers, which are compared within these.
+
+        Of two markers, each seen in a session of its own, one may be the noisier by the session.
+        """
+        session, marker = _numbered(data, "session"), _numbered(data, "marker")
+        return SetUps("session", session, np.zeros(len(data), dtype=int)), SetUps("marker", marker, session)
+
+
 @dataclass(frozen=True)
 class NoiseLevels:
-    """Noise that is larger in some set-ups: factors of each series' noise by session, and the p-value of equal noise."""
+    """Noise that is larger in some set-ups: factors of each series' noise by what a label names, and the p-value of equal noise."""
 
+    label: Label
     factors: tuple[Mapping[str, float], ...]
     p: float
     shown_by: Literal["repeats", "residuals"] = "residuals"
@@ -80,12 +102,13 @@ class NoiseLevels:
     def words(self) -> str:
         """The largest factor in words."""
         largest = max(factor for each in self.factors for factor in each.values())
-        return f"the noise differs between devices or sessions: up to {rounded(largest)} times the stated one"
+        between = {"session": "devices or sessions", "marker": "markers"}[self.label]
+        return f"the noise differs between {between}: up to {rounded(largest)} times the stated one"
 
     def factor(self, data: Measurements) -> np.ndarray:
         """Return each row's factor (n_rows,)."""
-        of_row = zip(data.series_number, data.session, strict=True)
-        return np.array([self.factors[series].get(session, 1.0) for series, session in of_row])
+        of_row = zip(data.series_number, data.labels(self.label), strict=True)
+        return np.array([self.factors[series].get(name, 1.0) for series, name in of_row])
 
     def sigma(self, data: Measurements, device: Noise) -> np.ndarray:
         """Return each row's standard deviation per axis [leading unit]."""
@@ -97,7 +120,7 @@ class NoiseLevels:
         return tuple(
             replace(
                 each,
-                by_session=self.factors[k],
+                factors={self.label: self.factors[k]},
                 typical=each.typical * float(np.sqrt(factor[data.of_series(k)].mean())),
             )
             for k, each in enumerate(devices)
@@ -108,16 +131,19 @@ class NoiseLevels:
         return self
 
     def doubts(self, data: Measurements, stated: Noise) -> Iterator[NoiseDoubt]:
-        """Yield a doubt of each noise of single rows as stated that is too small in a session."""
+        """Yield a doubt of each noise of single rows as stated that is too small in a set-up."""
         for k, series in enumerate(data.series):
             if stated.sources[k] != "file":
                 continue
-            for session, factor in self.factors[k].items():
-                rows = data.of_series(k) & (data.session == session)
+            for name, factor in self.factors[k].items():
+                rows = data.of_series(k) & (data.labels(self.label) == name)
                 if factor > 1:
                     level = float(np.sqrt(np.mean(stated.sigma[rows] ** 2)))
-                    yield doubt(stated.leading[k], level, factor, series=series.name, session=session,
-                                shown_by=self.shown_by, believed=False, p=self.p)  # fmt: skip
+                    yield doubt(stated.leading[k], level, factor, series=series.name, shown_by=self.shown_by, believed=False,
+                                p=self.p, **{self.label: name})  # fmt: skip
+
+
+Kind = TypeVar("Kind", Growth, NoiseLevels)
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,10 +163,14 @@ class ErrorSizes:
         """Return a subset."""
         return ErrorSizes(**{name: value[which] for name, value in vars(self).items()})
 
+    def of(self, setups: SetUps) -> ErrorSizes:
+        """Return the same sizes by other set-ups."""
+        return replace(self, setup=setups.number[self.rows])
+
     @property
     def setups(self) -> np.ndarray:
         """Indicators of the set-ups, (n, n_setups)."""
-        return np.asarray(np.unique(self.setup) == self.setup[:, None], dtype=float)
+        return _indicators(self.setup)
 
     @property
     def root(self) -> np.ndarray:
@@ -165,7 +195,8 @@ def noise_of_repeats(fitted: Fitted) -> Growth | NoiseLevels | None:
     repeats = _of_repeats(fitted)
     if repeats is None:
         return None
-    levels = _levels(fitted, repeats, np.ones((len(repeats.rows), 1)))
+    constant = np.ones((len(repeats.rows), 1))
+    levels = _likelier(*(_levels(fitted, repeats.of(each), each, constant) for each in SetUps.every(fitted.data)))
     return _likelier(_growth(fitted.data, repeats), levels and replace(levels, shown_by="repeats"))
 
 
@@ -179,29 +210,34 @@ def noise_of_residuals(fitted: Fitted) -> Growth | NoiseLevels | None:
     # Other rows have no range, or a stated noise that grows with it.
     looking = np.array([observed.units[:3] == (METRE,) * 3 and observed.from_outside and not observed.series.beam
                         for observed in fitted.model.observations])  # fmt: skip
-    rough = _of_residuals(fitted)
+    rough = _of_residuals(fitted, SetUps.every(fitted.data)[0])
     positions = rough.only(looking[fitted.data.series_number[rough.rows]])
     return _likelier(_growth(fitted.data, positions), levels_of_residuals(fitted))
 
 
-def _likelier(growth: Growth | None, levels: NoiseLevels | None) -> Growth | NoiseLevels | None:
+def _likelier(one: Kind | None, other: NoiseLevels | None) -> Kind | NoiseLevels | None:
     """Return the more significant of two, at a p-value for both."""
-    if growth and levels:
-        p = min(1.0, 2 * min(growth.p, levels.p))
-        return replace(growth, p=p) if growth.p < levels.p else replace(levels, p=p)
-    return growth or levels
+    if one and other:
+        p = min(1.0, 2 * min(one.p, other.p))
+        return replace(one, p=p) if one.p < other.p else replace(other, p=p)
+    return one or other
 
 
 def levels_of_residuals(fitted: Fitted) -> NoiseLevels | None:
-    """Return the noise of set-ups by residuals without their smooth part, those of a model that is fitted with it.
+    """Return the noise of sessions or markers by residuals without their smooth part, those of a model that is fitted with it."""
+    return _likelier(*(_settled(fitted, each) for each in SetUps.every(fitted.data)))
+
+
+def _settled(fitted: Fitted, setups: SetUps) -> NoiseLevels | None:
+    """Return the noise of set-ups by residuals of a model that is fitted with it.
 
     Set-ups are compared beside smooth functions of joint readings and place: where they measured different poses, the larger errors
     of one may be the model's.
     """
     found, seen = None, fitted
     for _ in range(PASSES):
-        rough = _of_residuals(seen)
-        now = _levels(fitted, rough, _smooth_functions(fitted, rough.rows))
+        rough = _of_residuals(seen, setups)
+        now = _levels(fitted, rough, setups, _smooth_functions(fitted, rough.rows))
         if now is None:
             break
         found = replace(now, p=found.p if found else now.p)
@@ -226,17 +262,18 @@ def _growth(data: Measurements, sizes: ErrorSizes) -> Growth | None:
     return _fitted(sizes, distance, both_ways / 2 if slope > 0 else 1 - both_ways / 2)
 
 
-def _levels(fitted: Fitted, sizes: ErrorSizes, beside: np.ndarray) -> NoiseLevels | None:
+def _levels(fitted: Fitted, sizes: ErrorSizes, setups: SetUps, beside: np.ndarray) -> NoiseLevels | None:
     """Return the noise of set-ups by the sizes of errors beside regressors (n, k); None where none is noisier than others.
 
     A set-up that measured other poses than the others is not compared. Of a stated noise a factor is at least 1, and what the
     quietest set-up leaves beyond it is no set-up's noise.
     """
     data, device, rows = fitted.data, fitted.device, sizes.rows
+    beside = np.column_stack([beside, _indicators(setups.within[rows])])
     series = data.series_number[rows]
     table = pd.DataFrame({
         "unit": [device.leading[k].label for k in series], "known": [device.sources[k] == "file" for k in series],
-        "series": series, "session": data.session[rows], "root": sizes.root * sizes.freedom, "freedom": sizes.freedom,
+        "series": series, "name": data.labels(setups.label)[rows], "root": sizes.root * sizes.freedom, "freedom": sizes.freedom,
         "assumed": sizes.noise**2, "stated": (device.sigma**2 * data.repeats)[rows], "setup": sizes.setup,
     })  # fmt: skip
     table = table[_not_predicted(sizes.setups, beside) > COMPARABLE]
@@ -246,7 +283,7 @@ def _levels(fitted: Fitted, sizes: ErrorSizes, beside: np.ndarray) -> NoiseLevel
     units = pd.get_dummies(table["unit"], dtype=float)
     sizes, beside = sizes.only(table.index.to_numpy()), np.column_stack([beside[table.index], units])
     p, _ = sizes.regression(sizes.setups, beside)
-    found = table.groupby(["unit", "known", "series", "session"]).agg(
+    found = table.groupby(["unit", "known", "series", "name"]).agg(
         {"root": "sum", "freedom": "sum", "assumed": "median", "stated": "mean"}
     )
     shown = (found["root"] / found["freedom"]) ** 3 * found["assumed"]
@@ -257,9 +294,9 @@ def _levels(fitted: Fitted, sizes: ErrorSizes, beside: np.ndarray) -> NoiseLevel
     if factor.max() <= WORTH_TELLING * factor.min():
         return None
     factors: list[dict[str, float]] = [{} for _ in data.series]
-    for (_, _, k, session), times in factor[factor != 1.0].items():
-        factors[k][session] = times
-    return NoiseLevels(tuple(factors), p)
+    for (_, _, k, name), times in factor[factor != 1.0].items():
+        factors[k][name] = times
+    return NoiseLevels(setups.label, tuple(factors), p)
 
 
 def _not_predicted(setups: np.ndarray, beside: np.ndarray) -> np.ndarray:
@@ -271,7 +308,7 @@ def _not_predicted(setups: np.ndarray, beside: np.ndarray) -> np.ndarray:
 
 
 def _of_repeats(fitted: Fitted) -> ErrorSizes | None:
-    """Return the scatter of repeats beside the assumed noise; None where its degrees of freedom are too few."""
+    """Return the scatter of repeats in sessions beside the assumed noise; None where its degrees of freedom are too few."""
     noise, data = fitted.device, fitted.data
     if noise.scatter is None:
         return None
@@ -281,17 +318,21 @@ def _of_repeats(fitted: Fitted) -> ErrorSizes | None:
     if scatter.freedom.sum() < MIN_REPEATS:
         return None
     return ErrorSizes(
-        scatter.squared, scatter.freedom, (noise.sigma * np.sqrt(data.repeats))[rows], rows, _setups(data)[rows]
+        scatter.squared,
+        scatter.freedom,
+        (noise.sigma * np.sqrt(data.repeats))[rows],
+        rows,
+        SetUps.every(data)[0].number[rows],
     )
 
 
-def _of_residuals(fitted: Fitted) -> ErrorSizes:
+def _of_residuals(fitted: Fitted, setups: SetUps) -> ErrorSizes:
     """Return poses' studentised residuals in leading units without their smooth part, beside noise and misfit.
 
     The smooth part is their regression on harmonics of joint readings and a quadratic in place, series by series. Rows of a pose
-    share errors, so that together they are one size.
+    share errors, so that together, in a set-up, they are one size.
     """
-    data, noise, setup = fitted.data, fitted.noise.total, _setups(fitted.data)
+    data, noise, setup = fitted.data, fitted.noise.total, setups.number
     squared, freedom = np.zeros(len(data)), np.zeros(len(data))
     for k, observed in enumerate(fitted.model.observations):
         rows = np.flatnonzero(data.of_series(k))
@@ -307,16 +348,25 @@ def _of_residuals(fitted: Fitted) -> ErrorSizes:
     return ErrorSizes(np.bincount(group, squared) * single**2, np.bincount(group, freedom), single, first, setup[first])
 
 
-def _setups(data: Measurements) -> np.ndarray:
-    """Return the number (n_rows,) of each row's device and session."""
-    return np.asarray(
-        pd.DataFrame({"series": data.series_number, "session": data.session}).groupby(["series", "session"]).ngroup()
-    )
+def _numbered(data: Measurements, label: Label) -> np.ndarray:
+    """Return the number (n_rows,) of each row's series and what a label names."""
+    each = pd.DataFrame({"series": data.series_number, "name": data.labels(label)})
+    return np.asarray(each.groupby(["series", "name"]).ngroup())
+
+
+def _indicators(number: np.ndarray) -> np.ndarray:
+    """Return the indicators (n, n_numbers) of numbers (n,)."""
+    return np.asarray(np.unique(number) == number[:, None], dtype=float)
 
 
 def _smooth_functions(fitted: Fitted, rows: np.ndarray) -> np.ndarray:
-    """Return smooth functions of joint readings and place at rows (n,), the constant first, as many as these permit, (n, k)."""
-    joints, place = fitted.data.joints[rows], fitted.model.point(fitted.fit.estimate, fitted.data.conditions[:, rows])
+    """Return smooth functions of joint readings and place at rows (n,), the constant first, as many as these permit, (n, k).
+
+    The place is that of the pose, the mean of its markers', which does not tell them apart.
+    """
+    joints, of_rows = fitted.data.joints[rows], fitted.model.point(fitted.fit.estimate, fitted.data.conditions)
+    pose = np.unique(fitted.poses, return_inverse=True)[1]
+    place = (of_rows - deviations(of_rows, pose, np.full(len(pose), True))[0])[rows]
     place = place - place.mean(axis=0)
     waves = [wave(order * q) for order in (1, 2) for q in joints.T for wave in (np.cos, np.sin)]
     products = [place[:, i] * place[:, j] for i in range(3) for j in range(i, 3)]

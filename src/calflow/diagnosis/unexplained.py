@@ -352,6 +352,10 @@ class Standstills:
         """The joints (numbers from 0) whose variance is accepted: they do not repeat."""
         return np.flatnonzero(self.variance[self._first : -1] > 0)
 
+    def significant(self, significance: float) -> bool:
+        """Whether any joint does not repeat, at a level of significance."""
+        return any(self.unexplained(k).p < significance for k in self.joints)
+
     def unexplained(self, k: int) -> UnexplainedStructure:
         """Return the finding that joint k does not repeat, tested against none, with the joints that could take its place."""
         components, at = self.components, self._first + k

@@ -20,7 +20,7 @@ from calflow.estimation.error_model import ErrorModel, of_parameters
 from calflow.estimation.extrapolation import beyond
 from calflow.estimation.least_squares import Loss
 from calflow.estimation.needed_conditions import NeededCondition, depended_on
-from calflow.estimation.noise import Noise, PerUnit, Source, stated_noise
+from calflow.estimation.noise import Label, Noise, PerUnit, Source, stated_noise
 from calflow.estimation.residual_field import ResidualField
 from calflow.files.units import METRE, RADIAN, MeasurementUnit
 from calflow.measurements.measurements import Measurements
@@ -80,15 +80,27 @@ def points_at(conditions: np.ndarray, places: np.ndarray | None = None) -> Quant
 class SeriesNoise:
     """The noise of a series: sigma of a single row (at zero range), its source, and its growth with range [m/m].
 
-    typical is its root mean square over the measured rows. Both are in the series' leading unit. by_session: factors of the noise
-    in sessions in which it is another.
+    typical is its root mean square over the measured rows. Both are in the series' leading unit. factors: of the noise by
+    label, in each session or of each marker where it is another.
     """
 
     sigma: float
     source: Source
     typical: float
     growth: float = 0.0
-    by_session: Mapping[str, float] = field(default_factory=dict)
+    factors: Mapping[Label, Mapping[str, float]] = field(default_factory=dict)
+
+    def factor(self, data: Measurements) -> np.ndarray:
+        """Return each row's factor (n_rows,)."""
+        factor = np.ones(len(data))
+        for label, of_names in self.factors.items():
+            factor *= [of_names.get(name, 1.0) for name in data.labels(label)]
+        return factor
+
+    @property
+    def least_factor(self) -> float:
+        """The least of these factors, of rows that have one of each label."""
+        return float(np.prod([min(1.0, *of_names.values()) for of_names in self.factors.values()]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,8 +168,17 @@ class CalibratedModel:
         return data.stating(self.model.given).on(self.model.robot).conditions
 
     def device_sigma(self, data: Measurements) -> np.ndarray:
-        """Return the device's noise of rows (n_rows,) [leading unit]; zero where it is not known apart from the model's errors."""
-        return self.noise(data).sigma if self.noise_known else np.zeros(len(data))
+        """Return the device's noise of rows (n_rows,) [leading unit] beside the model's errors.
+
+        Where it is not known apart from these, they hold it, and what rows have beyond that of the quietest is returned.
+        """
+        if self.noise_known:
+            return self.noise(data).sigma
+        beyond = np.zeros(len(data))
+        for k, device in enumerate(self.device):
+            rows = data.of_series(k)
+            beyond[rows] = device.sigma * np.sqrt(device.factor(data)[rows] ** 2 - device.least_factor**2)
+        return beyond
 
     def noise(self, data: Measurements) -> Noise:
         """Return the noise of rows by each series' source; rows that state none have that of the fitted rows."""
@@ -169,12 +190,11 @@ class CalibratedModel:
                 sigma[rows] = device.sigma + device.growth * data.table["range"].to_numpy()[rows]
             elif device.source != "file":
                 sigma[rows] = device.sigma
-            for session, factor in device.by_session.items():
-                sigma[rows & (data.session == session)] *= factor
+            sigma[rows] *= device.factor(data)[rows]
             sigma[rows & np.isnan(sigma)] = device.typical
         return replace(
             stated, sigma=sigma, sources=tuple(device.source for device in self.device), discrepancy=self.discrepancy,
-            intraclass=self.intraclass, corrected=any(device.by_session for device in self.device),
+            intraclass=self.intraclass, corrected=any(device.factors for device in self.device),
         )  # fmt: skip
 
     def with_maps_held(self) -> tuple[CalibratedModel, tuple[Cause, ...]]:

@@ -138,6 +138,7 @@ class NoiseDoubt:
 
     series: str = column("name of the series; empty: the only one")
     session: str = column("the session in which it is wrong; empty: in all", default="")
+    marker: str = column("the marker of which it is wrong; empty: of all", default="")
     stated_mm: float | None = column("the noise per axis stated by file or study; null: `unit` is another", "mm")
     shown_mm: float | None = column(
         "the noise per axis by the scatter of repeats, or by the fit's residuals, its upper limit", "mm"
@@ -163,6 +164,7 @@ class NoiseDoubt:
     def statement(self) -> str:
         """The contradiction in words."""
         where = (f" of {self.series}" if self.series else "") + (f" in session {self.session}" if self.session else "")
+        where += f" for marker {self.marker}" if self.marker else ""
         way = "small" if self.shown > self.stated else "large"
         times = f"{self.times:,.0f}" if self.times >= 10 else f"{self.times:.2g}"
         shown = (
@@ -170,10 +172,12 @@ class NoiseDoubt:
             if self.shown_by == "repeats"
             else "the fit leaves" + " only" * (way == "large")
         )
+        there = " there" if self.session or self.marker else ""
         # Errors that a robot makes on one day only look like noise of that day.
         unless = ", unless the robot repeated worse then" if self.session and self.shown_by == "residuals" else ""
+        unless += ", unless that marker does not sit firmly" if self.marker else ""
         return (f"The stated noise{where}, {rounded(self.stated)} {self.unit} per axis, is {times} times too {way}: {shown} "
-                f"{rounded(self.shown)} {self.unit}{' there' * bool(self.session)}. Correct sigma{unless}.")  # fmt: skip
+                f"{rounded(self.shown)} {self.unit}{there}. Correct sigma{unless}.")  # fmt: skip
 
     @property
     def words(self) -> str:

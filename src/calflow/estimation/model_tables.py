@@ -20,7 +20,7 @@ from calflow.estimation.fit import Fit
 from calflow.estimation.lack_of_fit import SIGNIFICANT, LackOfFit, NoiseDoubt
 from calflow.estimation.least_squares import Loss
 from calflow.estimation.needed_conditions import NeededCondition
-from calflow.estimation.noise import Noise, PerUnit, Source
+from calflow.estimation.noise import Label, Noise, PerUnit, Source
 from calflow.estimation.parameters import FittedParameter, covariance_table
 from calflow.estimation.registration import about_places
 from calflow.estimation.residual_field import SUMMARY as FIELD
@@ -94,12 +94,16 @@ class DeviceNoise:
     typical: float = column("as typical_mm, in `unit`")
     factor: float = column("by which the rows that name no session are noisier than stated", default=1.0)
     by_session: Mapping[str, float] = column("by which a session's rows are", name="factor {session}")
+    by_marker: Mapping[str, float] = column("by which a marker's rows are", name="marker {marker}")
 
     @property
-    def factors(self) -> Mapping[str, float]:
-        """Factors of the noise by session, where it is another."""
-        every = {"": self.factor} | {name.removeprefix("factor "): factor for name, factor in self.by_session.items()}
-        return {session: factor for session, factor in every.items() if factor != 1}
+    def factors(self) -> Mapping[Label, Mapping[str, float]]:
+        """Factors of the noise by session and marker, where it is another."""
+        sessions = {"": self.factor} | {name.removeprefix("factor "): times for name, times in self.by_session.items()}
+        markers = {name.removeprefix("marker "): times for name, times in self.by_marker.items()}
+        every: dict[Label, dict[str, float]] = {"session": sessions, "marker": markers}
+        other = {label: {name: times for name, times in each.items() if times != 1} for label, each in every.items()}
+        return {label: each for label, each in other.items() if each}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -178,7 +182,7 @@ class FitSummary:
     solver: Solver = column("name, status, iterations")
     converged: bool = column("whether the solver reached its optimum")
     noise_doubts: tuple[NoiseDoubt, ...] = column(
-        "stated noises that repeats or the fit contradict: series, session, sizes, p", default=()
+        "stated noises that repeats or the fit contradict: series, session, marker, sizes, p", default=()
     )
 
     @property
@@ -312,17 +316,23 @@ def observation_table(observed: Sequence[Observation]) -> pd.DataFrame:
 
 def noise_table(devices: Sequence[SeriesNoise], observed: Sequence[Observation]) -> pd.DataFrame:
     """Return the table of `DeviceNoise`."""
-    rows, sessions = [], dict.fromkeys(session for device in devices for session in device.by_session if session)
+    rows = []
+    sessions, markers = (
+        dict.fromkeys(name for device in devices for name in device.factors.get(label, {}) if name)
+        for label in ("session", "marker")
+    )
     for device, observation in zip(devices, observed, strict=True):
         unit = observation.units[0]
         sigma, typical = unit.shown(device.sigma), unit.shown(device.typical)
+        by_session, by_marker = device.factors.get("session", {}), device.factors.get("marker", {})
         lengths = {"sigma_mm": sigma, "typical_mm": typical} if unit == METRE else {}
         rows.append(
             DeviceNoise(
                 series=observation.series.name, kind=observation.id, source=device.source, unit=unit.label, sigma=sigma,
                 typical=typical, growth_mm_per_m=1e3 * device.growth,
-                factor=device.by_session.get("", 1.0),
-                by_session={f"factor {session}": device.by_session.get(session, 1.0) for session in sessions}, **lengths,
+                factor=by_session.get("", 1.0),
+                by_session={f"factor {session}": by_session.get(session, 1.0) for session in sessions},
+                by_marker={f"marker {marker}": by_marker.get(marker, 1.0) for marker in markers}, **lengths,
             )
         )  # fmt: skip
     return to_frame(rows, DeviceNoise)

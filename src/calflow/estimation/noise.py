@@ -67,6 +67,7 @@ def deviations(error: np.ndarray, group: np.ndarray, kept: np.ndarray) -> tuple[
 
 
 Source = Literal["repeats", "file", "estimated"]
+Label = Literal["session", "marker"]  # the column that tells rows of a series apart whose noise may be another
 
 
 @dataclass(frozen=True)

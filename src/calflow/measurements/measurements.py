@@ -198,9 +198,11 @@ class Measurements:
     @property
     def session(self) -> np.ndarray:
         """Name of each row's session, shape (n_rows,); empty where rows name none."""
-        return (
-            np.full(len(self), "") if "session" not in self.table else self.table["session"].astype(str).to_numpy(str)
-        )
+        return self.labels("session")
+
+    def labels(self, column: str) -> np.ndarray:
+        """Return each row's label in a column, as session or marker, shape (n_rows,); empty where rows have none."""
+        return np.full(len(self), "") if column not in self.table else self.table[column].astype(str).to_numpy(str)
 
     @property
     def series_number(self) -> np.ndarray:
