@@ -60,8 +60,8 @@ class LeftOutBlock:
     """A block of residuals (n_own,), predicted by a model fitted to the others; it follows from the fit to all.
 
     Parameters are in coordinates in which the information of all residuals and priors is one. root R (n_free, n_own): of the
-    predictions' covariance RᵀR by the fit to all; residual (n_own,): by that fit; factor: Cholesky factor of I - RRᵀ, the
-    information of the other blocks and the priors.
+    predictions' covariance RᵀR by the fit to all; residual (n_own,): by that fit; factor: Cholesky factor of I - RᵀR, or of I - RRᵀ
+    where that is smaller, the information of the other blocks and the priors.
     """
 
     root: np.ndarray
@@ -74,12 +74,15 @@ class LeftOutBlock:
         blocks = []
         for rows in (np.flatnonzero(block == number) for number in np.unique(block)):
             root = model.prediction_root[:, rows]
-            factor = scipy.linalg.cho_factor((1 + LEAST_TOLD) * np.eye(len(root)) - root @ root.T, lower=True)
+            told = root @ root.T if len(root) < len(rows) else root.T @ root
+            factor = scipy.linalg.cho_factor((1 + LEAST_TOLD) * np.eye(len(told)) - told, lower=True)
             blocks.append(LeftOutBlock(root, model.settled_residual[rows], factor))
         return blocks
 
     def predicted(self, values: np.ndarray) -> np.ndarray:
         """Return (I - RᵀR)⁻¹ times values (n_own, …): errors of the fit to all as errors of predictions (Woodbury 1950)."""
+        if len(self.factor[0]) == len(values):
+            return np.asarray(scipy.linalg.cho_solve(self.factor, values))
         return np.asarray(values + self.root.T @ scipy.linalg.cho_solve(self.factor, self.root @ values))
 
     @cached_property
