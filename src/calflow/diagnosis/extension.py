@@ -33,7 +33,7 @@ from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.form_error import farthest, with_form_errors
 from calflow.diagnosis.regressors import Place
 from calflow.diagnosis.screening import Catalogue, Score, Screening, by_place
-from calflow.diagnosis.stepwise import SPLIT, CauseAcceptance, Stepwise, second_thoughts, words
+from calflow.diagnosis.stepwise import REACH, SPLIT, CauseAcceptance, Stepwise, second_thoughts, words
 from calflow.diagnosis.trial import Detection, Linearisation, Screened, Trial, is_new
 from calflow.effects.cause import Cause
 from calflow.estimation.fit import Fit
@@ -124,11 +124,14 @@ class FittedTrial(Trial[Cause]):
         A mass moves the tool through a spring: beside the bending that it is to replace, it seems to explain the same, but without
         that spring it has no such effect.
         """
-        linear = self.linearisation.findings(self.first.family) if self.causes else []
-        return tuple(map(self._with_rivals_alone, linear))
+        return tuple(self._with_rivals_alone(finding, finding.cost + 2 * REACH) for finding in self._linear_findings)
 
-    def _with_rivals_alone(self, finding: Detection[Cause]) -> Detection[Cause]:
-        cause, limit = finding.cause, farthest(finding.cost)
+    @cached_property
+    def _linear_findings(self) -> list[Detection[Cause]]:
+        return self.linearisation.findings(self.first.family) if self.causes else []
+
+    def _with_rivals_alone(self, finding: Detection[Cause], limit: float) -> Detection[Cause]:
+        cause = finding.cause
         near = {place for place, (cost, _) in finding.places.items() if cost < limit} - {cause.place}
         if not near:
             return finding
@@ -148,8 +151,12 @@ class FittedTrial(Trial[Cause]):
     def extended(self) -> Extended:
         """Its model with its findings, their rivals weighed with form errors, which takes some linearisations for each."""
         findings = (
-            with_form_errors(finding, self.fitted, self.linearisation.apart([finding.cause]).regressors)
-            for finding in self.findings
+            with_form_errors(
+                self._with_rivals_alone(finding, farthest(finding.cost)),
+                self.fitted,
+                self.linearisation.apart([finding.cause]).regressors,
+            )
+            for finding in self._linear_findings
         )
         return Extended(self.fitted, tuple(findings), self.first)
 

@@ -218,18 +218,20 @@ class Stepwise:
         yield _replaced(trial, second_thoughts(trial, self.acceptance))
 
     def _reformed(self, trial: Trial[H]) -> Iterator[Proposal[H]]:
-        """Yield the causes with one in another of its forms, that which explains most beyond its own.
+        """Yield the causes with the last one in another of its forms, if that explains more than its own.
 
         What is left of a cause in a wrong form may look like another cause, whose own form would then hide the first's.
         """
-        steps = list[Proposal[H]]()
-        for finding in filter(self.acceptance.keeps, trial.own_findings):
-            _, best = finding.places[finding.cause.place]
-            gain = finding.own.cost - best.cost
-            if gain > BETTER and self.acceptance.accepts(best, finding.family):
-                causes = [best.cause if cause == finding.cause else cause for cause in trial.causes]
-                steps.append(replace(_replaced(trial, causes), cost=-gain))
-        yield from sorted(steps, key=lambda step: step.cost)[:1]
+        if not trial.causes:
+            return
+        *others, last = trial.causes
+        finding = Detection(last, tuple(trial.linearisation.forms(others, last.place)), trial.first.family)
+        if not self.acceptance.keeps(finding):
+            return
+        _, best = min(finding.places.values(), key=lambda scored: scored[0])
+        gain = finding.own.cost - best.cost
+        if gain > BETTER and self.acceptance.accepts(best, finding.family):
+            yield replace(_replaced(trial, [*others, best.cause]), cost=-gain)
 
     def _added(self, trial: Trial[H]) -> Iterator[Proposal[H]]:
         """Yield the causes with the best accepted candidate added, if there is one and room for it."""
@@ -286,13 +288,16 @@ def words(cause: H) -> str:
 
 
 def second_thoughts(trial: Trial[H], acceptance: CauseAcceptance) -> list[H]:
-    """Return the causes with one dropped that is no longer accepted, or replaced by a more probable rival; one change at most."""
+    """Return the causes with one dropped that is no longer accepted, or replaced by a more probable rival or another form of its
+    own that explains the data better; one change at most.
+    """
     for finding in _weakest_first(trial.own_findings):
         if not acceptance.keeps(finding):
             return [cause for cause in trial.causes if cause != finding.cause]
     for finding in _weakest_first(trial.findings):
         cost, best = min(finding.places.values(), key=lambda scored: scored[0])
-        if cost < finding.cost and acceptance.accepts(best, finding.family):
+        better = cost < finding.cost or best.cost < finding.own.cost - BETTER
+        if better and acceptance.accepts(best, finding.family):
             return [best.cause if cause == finding.cause else cause for cause in trial.causes]
     return list(trial.causes)
 
