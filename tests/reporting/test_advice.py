@@ -656,6 +656,16 @@ def test_a_contradicted_noise_is_the_first_thing_said() -> None:
     assert foremost(results(summary())) == []
 
 
+@pytest.mark.parametrize(("source", "told"), [("estimated", True), ("file", False)])
+def test_a_loose_marker_is_told_where_nobody_stated_a_noise(source: str, told: bool) -> None:
+    """Fails if page one does not say whose readings scatter, or says it twice: a stated noise is contradicted for it already."""
+    row = {"series": "", "kind": "position", "source": source, "sigma_mm": 0.03, "growth_mm_per_m": 0.0, "typical_mm": 0.05,
+           "unit": "mm", "sigma": 0.03, "typical": 0.05, "factor": 1.0, "marker A": 0.8, "marker B": 3.2}  # fmt: skip
+    seen = results(summary() | {"identify/noise.csv": pd.DataFrame([row])})
+    sentence = "Marker B scatters 4 times as much as the quietest: see whether it sits firmly."
+    assert foremost(seen) == [sentence] * told
+
+
 def validated(
     status: str, rms_low: float, nominal: float = 1.0, judged: str = "calibrated", tolerance: float | None = 0.3
 ) -> object:

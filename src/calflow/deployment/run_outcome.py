@@ -17,7 +17,7 @@ from calflow.estimation.certainty import Certainty
 from calflow.estimation.identifiability import Correlation, Counted, Redundant, Statement
 from calflow.estimation.lack_of_fit import NoiseDoubt
 from calflow.estimation.leverage import JudgedResidual
-from calflow.estimation.model_tables import FitSummary, IdentifySummary, Placed
+from calflow.estimation.model_tables import DeviceNoise, FitSummary, IdentifySummary, Placed
 from calflow.estimation.parameters import FittedParameter
 from calflow.faults.base import FaultyRow
 from calflow.files.tables import Kind, Results, Row, Tables, TypedTable, to_frame
@@ -68,6 +68,7 @@ class RunOutcome:
     correlations = _table("The most correlated parameters.", "identify/correlations.csv", Correlation)
     counted = _table("Which parameters a model with fewer keeps.", "identify/count.csv", Counted)
     redundant = _table("Figures of full origins that are no parameters.", "identify/redundant.csv", Redundant)
+    device_noise = _table("The noise of each series of measurements.", "noise.csv", DeviceNoise)
     placement = _table("Where base, markers and tool are.", "identify/placement.csv", Placed)
     findings = _table(
         "Faults of the data, causes, and what no cause explains, best first; none where nothing is lacking.",

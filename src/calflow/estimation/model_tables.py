@@ -17,7 +17,7 @@ from calflow.estimation.certainty import Certainty
 from calflow.estimation.error_model import ErrorModel, error_table, read_errors
 from calflow.estimation.extrapolation import Extrapolation
 from calflow.estimation.fit import Fit
-from calflow.estimation.lack_of_fit import SIGNIFICANT, LackOfFit, NoiseDoubt
+from calflow.estimation.lack_of_fit import SIGNIFICANT, WORTH_TELLING, LackOfFit, NoiseDoubt
 from calflow.estimation.least_squares import Loss
 from calflow.estimation.needed_conditions import NeededCondition
 from calflow.estimation.noise import Label, Noise, PerUnit, Source
@@ -32,7 +32,7 @@ from calflow.files.problems import refuse
 from calflow.files.tables import Results, column, to_frame
 from calflow.files.toml import adapter
 from calflow.files.units import METRE, RADIAN
-from calflow.files.words import mm
+from calflow.files.words import first_up, mm, rounded
 from calflow.model import Model
 from calflow.observations import Observation, observation_kinds
 from calflow.robot.frames import Vector, vector
@@ -76,6 +76,9 @@ class ModelObservation:
     observation: str = column("all its fields, as JSON")
 
 
+LOOK: dict[Label, str] = {"session": "what was different then", "marker": "whether it sits firmly"}
+
+
 @dataclass(frozen=True, kw_only=True)
 class DeviceNoise:
     """The noise of a series of measurements, as far as it is the same for all rows."""
@@ -104,6 +107,18 @@ class DeviceNoise:
         every: dict[Label, dict[str, float]] = {"session": sessions, "marker": markers}
         other = {label: {name: times for name, times in each.items() if times != 1} for label, each in every.items()}
         return {label: each for label, each in other.items() if each}
+
+    @property
+    def statements(self) -> list[str]:
+        """A sentence on the noisiest session, and marker, of a series whose noise nobody stated; none where all are alike."""
+        found, of = list[str](), f" of {self.series}" if self.series else ""
+        for label, factors in self.factors.items() if self.source != "file" else ():
+            noisiest = max(factors, key=lambda name: factors[name])
+            times = factors[noisiest] / min(factors.values())
+            if times > WORTH_TELLING:
+                named = f"{first_up(label)} {noisiest or 'without a name'}{of}"
+                found.append(f"{named} scatters {rounded(times)} times as much as the quietest: see {LOOK[label]}.")
+        return found
 
 
 @dataclass(frozen=True, kw_only=True)
