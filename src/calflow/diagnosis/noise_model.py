@@ -100,10 +100,11 @@ class NoiseLevels:
 
     @property
     def words(self) -> str:
-        """The largest factor in words."""
-        largest = max(factor for each in self.factors for factor in each.values())
+        """The largest factor in words, over the least: that is one where the noise is stated."""
+        every = [factor for each in self.factors for factor in each.values()]
+        largest = max(every) / min(1.0, *every)
         between = {"session": "devices or sessions", "marker": "markers"}[self.label]
-        return f"the noise differs between {between}: up to {rounded(largest)} times the stated one"
+        return f"the noise differs between {between}: up to {rounded(largest)} times the quietest one's"
 
     def factor(self, data: Measurements) -> np.ndarray:
         """Return each row's factor (n_rows,)."""
