@@ -202,7 +202,9 @@ def test_a_stated_noise_that_repeats_contradict_on_one_day_is_told_as_it_was_sta
 
 
 def test_the_noise_of_a_session_is_loaded_as_it_was_saved(tmp_path):
-    """Fails if a session's noise is lost with the files, or nobody is told that what was stated is wrong."""
+    """Fails if a session's noise is lost with the files, nobody is told that what was stated is wrong, or the accuracy is that of
+    the fit before.
+    """
     case = Case(robots.industrial(), ("geometry",))
     data = case.measured(1)
     noisy = np.arange(len(data)) % 3 == 0
@@ -222,6 +224,10 @@ def test_the_noise_of_a_session_is_loaded_as_it_was_saved(tmp_path):
     assert loaded.noise(data).words.endswith("corrected where it is larger")
     (doubt,) = RunOutcome(loaded.results).noise_doubts
     assert doubt.session == "wed"
+    off = found.model.position(found.estimate, data.conditions) - data.position
+    assert not np.array_equal(found.estimate, calibration.estimate), "fitted again with that noise"
+    *_, fitted = (row for row in found.accuracy if row.split == "train")
+    assert fitted.mean == pytest.approx(1e3 * np.linalg.norm(off[data.train], axis=1).mean())
 
 
 def test_the_noise_of_a_marker_is_loaded_as_it_was_saved(tmp_path):

@@ -172,8 +172,16 @@ def extended_model(diagnosis: Diagnosis, calibrated: CalibratedModel, data: Meas
 
 def accuracy_table(diagnosis: Diagnosis, data: Measurements, before: Sequence[Accuracy]) -> pd.DataFrame:
     """Return the accuracy of the previous models, and one step for each deployed cause, by the rows of which it is decided whether
-    a step acts."""
+    a step acts.
+
+    Without a cause the last of the previous models is the one that was fitted again with the noise found.
+    """
     name, step, rows = before[-1].model, before[-1].step, list(before)
+    if diagnosis.final and not diagnosis.n_deployed:
+        model, last = diagnosis.final.model, before[-1].effect
+        added = next((effect for effect in model.effects if effect.id == last), None)
+        error = leading_errors(model, diagnosis.final.fit.estimate, data)
+        rows = [row for row in rows if row.step != step] + accuracy(name, error, data, step, added)
     deployed = zip(diagnosis.causes[: diagnosis.n_deployed], diagnosis.path, strict=False)
     for k, (cause, fit) in enumerate(deployed, start=step + 1):
         name += f" + {cause.id} {cause.part}"
