@@ -66,6 +66,7 @@ USUAL = {
     "thermal-growth warm-up": (0, 1e-4, "warm-up"),
     "cantilever-bracket": (0, 3e-7, ""),
     "oblique-beam": (2, 5e-8, ""),
+    "tapered-beam": (2, 1e-7, 4.0),
     "offset-bearing": (2, 1e-7, 0.2),
     "spring-compensator": (2, 1e3, ""),
     "warm-link": (2, 1e-4, ""),
