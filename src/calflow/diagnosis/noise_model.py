@@ -79,6 +79,12 @@ class SetUps:
     number: np.ndarray
     within: np.ndarray
 
+    @property
+    def compared(self) -> bool:
+        """Whether any two are."""
+        seen = np.unique(np.stack([self.within, self.number]), axis=1)
+        return seen.shape[1] > len(np.unique(self.within))
+
     @staticmethod
     def every(data: Measurements) -> tuple[SetUps, SetUps]:
         """Return each device in each session, all of which are compared, and its markers, which are compared within these.
@@ -236,7 +242,7 @@ def _settled(fitted: Fitted, setups: SetUps) -> NoiseLevels | None:
     of one may be the model's.
     """
     found, seen = None, fitted
-    for _ in range(PASSES):
+    for _ in range(PASSES if setups.compared else 0):
         rough = _of_residuals(seen, setups)
         now = _levels(fitted, rough, setups, _smooth_functions(fitted, rough.rows))
         if now is None:
