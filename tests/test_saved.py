@@ -216,11 +216,9 @@ def test_the_noise_of_a_session_is_loaded_as_it_was_saved(tmp_path):
     found = calibration.diagnose(catalogue=["joint-backlash", "joint-eccentricity"])
     loaded = assert_loaded(found, tmp_path / "diagnosed")
     (device,) = loaded.device
-    assert 6 < device.factors["session"]["wed"] < 16
-    assert "mon" not in device.factors["session"]
-    np.testing.assert_array_equal(
-        loaded.noise(data).sigma, np.where(noisy, device.factors["session"]["wed"], 1.0) * 3e-5
-    )
+    assert 6 < device.factors["wed"] < 16
+    assert "mon" not in device.factors
+    np.testing.assert_array_equal(loaded.noise(data).sigma, np.where(noisy, device.factors["wed"], 1.0) * 3e-5)
     assert loaded.noise(data).words.endswith("corrected where it is larger")
     (doubt,) = RunOutcome(loaded.results).noise_doubts
     assert doubt.session == "wed"
@@ -244,8 +242,8 @@ def test_the_noise_of_a_marker_is_loaded_as_it_was_saved(tmp_path):
     found = cf.identify(case.robot, data, case.effects, starts=1).diagnose(catalogue=["joint-backlash"])
     loaded = assert_loaded(found, tmp_path / "diagnosed")
     (device,) = loaded.device
-    assert 6 < device.factors["marker"]["F"] < 16
-    np.testing.assert_array_equal(loaded.noise(data).sigma, np.where(loose, device.factors["marker"]["F"], 1.0) * 3e-5)
+    assert 6 < device.factors["F"] < 16
+    np.testing.assert_array_equal(loaded.noise(data).sigma, np.where(loose, device.factors["F"], 1.0) * 3e-5)
     (doubt,) = RunOutcome(loaded.results).noise_doubts
     assert (doubt.session, doubt.marker) == ("", "F")
     name = "diagnose/noise.csv"
@@ -253,7 +251,7 @@ def test_the_noise_of_a_marker_is_loaded_as_it_was_saved(tmp_path):
     (older,) = read_error_model("diagnose", Results(earlier, loaded.results.documents), loaded.model.observations)[
         "device"
     ]
-    assert older == replace(device, factors={})
+    assert older == replace(device, label="session", factors={})
 
 
 def test_a_run_of_a_version_without_levels_of_effort_says_so(finished):

@@ -91,7 +91,10 @@ class SetUps:
 
         Of two markers, each seen in a session of its own, one may be the noisier by the session.
         """
-        session, marker = _numbered(data, "session"), _numbered(data, "marker")
+        table = pd.DataFrame({label: data.labels(label) for label in ("session", "marker")}).assign(
+            series=data.series_number
+        )
+        session, marker = (table.groupby(["series", label]).ngroup().to_numpy() for label in ("session", "marker"))
         return SetUps("session", session, np.zeros(len(data), dtype=int)), SetUps("marker", marker, session)
 
 
@@ -127,7 +130,8 @@ class NoiseLevels:
         return tuple(
             replace(
                 each,
-                factors={self.label: self.factors[k]},
+                label=self.label,
+                factors=self.factors[k],
                 typical=each.typical * float(np.sqrt(factor[data.of_series(k)].mean())),
             )
             for k, each in enumerate(devices)
@@ -157,27 +161,17 @@ Kind = TypeVar("Kind", Growth, NoiseLevels)
 class ErrorSizes:
     """Sizes of errors: squares (n,) [unit²] with degrees of freedom (n,), and the noise taken to be theirs (n,) [unit].
 
-    rows (n,): their rows; setup (n,): the numbers of their set-ups.
+    rows (n,): their rows.
     """
 
     squared: np.ndarray
     freedom: np.ndarray
     noise: np.ndarray
     rows: np.ndarray
-    setup: np.ndarray
 
     def only(self, which: np.ndarray) -> ErrorSizes:
         """Return a subset."""
         return ErrorSizes(**{name: value[which] for name, value in vars(self).items()})
-
-    def of(self, setups: SetUps) -> ErrorSizes:
-        """Return the same sizes by other set-ups."""
-        return replace(self, setup=setups.number[self.rows])
-
-    @property
-    def setups(self) -> np.ndarray:
-        """Indicators of the set-ups, (n, n_setups)."""
-        return _indicators(self.setup)
 
     @property
     def root(self) -> np.ndarray:
@@ -203,7 +197,7 @@ def noise_of_repeats(fitted: Fitted) -> Growth | NoiseLevels | None:
     if repeats is None:
         return None
     constant = np.ones((len(repeats.rows), 1))
-    levels = _likelier(*(_levels(fitted, repeats.of(each), each, constant) for each in SetUps.every(fitted.data)))
+    levels = _likelier(*(_levels(fitted, repeats, each, constant) for each in SetUps.every(fitted.data)))
     return _likelier(_growth(fitted.data, repeats), levels and replace(levels, shown_by="repeats"))
 
 
@@ -265,7 +259,7 @@ def _growth(data: Measurements, sizes: ErrorSizes) -> Growth | None:
     if not len(sizes.rows):
         return None
     distance = data.table[RANGE].to_numpy()[sizes.rows]
-    both_ways, slope = sizes.regression(distance[:, None], sizes.setups)
+    both_ways, slope = sizes.regression(distance[:, None], _indicators(SetUps.every(data)[0].number[sizes.rows]))
     return _fitted(sizes, distance, both_ways / 2 if slope > 0 else 1 - both_ways / 2)
 
 
@@ -281,15 +275,15 @@ def _levels(fitted: Fitted, sizes: ErrorSizes, setups: SetUps, beside: np.ndarra
     table = pd.DataFrame({
         "unit": [device.leading[k].label for k in series], "known": [device.sources[k] == "file" for k in series],
         "series": series, "name": data.labels(setups.label)[rows], "root": sizes.root * sizes.freedom, "freedom": sizes.freedom,
-        "assumed": sizes.noise**2, "stated": (device.sigma**2 * data.repeats)[rows], "setup": sizes.setup,
+        "assumed": sizes.noise**2, "stated": (device.sigma**2 * data.repeats)[rows], "setup": setups.number[rows],
     })  # fmt: skip
-    table = table[_not_predicted(sizes.setups, beside) > COMPARABLE]
+    table = table[_not_predicted(_indicators(table["setup"].to_numpy()), beside) > COMPARABLE]
     table = table[table.groupby("unit")["setup"].transform("nunique") > 1]
     if not len(table):
         return None
     units = pd.get_dummies(table["unit"], dtype=float)
     sizes, beside = sizes.only(table.index.to_numpy()), np.column_stack([beside[table.index], units])
-    p, _ = sizes.regression(sizes.setups, beside)
+    p, _ = sizes.regression(_indicators(table["setup"].to_numpy()), beside)
     found = table.groupby(["unit", "known", "series", "name"]).agg(
         {"root": "sum", "freedom": "sum", "assumed": "median", "stated": "mean"}
     )
@@ -324,13 +318,7 @@ def _of_repeats(fitted: Fitted) -> ErrorSizes | None:
     scatter, rows = noise.scatter.only(usable), np.flatnonzero(usable)
     if scatter.freedom.sum() < MIN_REPEATS:
         return None
-    return ErrorSizes(
-        scatter.squared,
-        scatter.freedom,
-        (noise.sigma * np.sqrt(data.repeats))[rows],
-        rows,
-        SetUps.every(data)[0].number[rows],
-    )
+    return ErrorSizes(scatter.squared, scatter.freedom, (noise.sigma * np.sqrt(data.repeats))[rows], rows)
 
 
 def _of_residuals(fitted: Fitted, setups: SetUps) -> ErrorSizes:
@@ -352,13 +340,7 @@ def _of_residuals(fitted: Fitted, setups: SetUps) -> ErrorSizes:
     of_pose = fitted.poses * (setup.max() + 1) + setup
     _, first, group = np.unique(of_pose, return_index=True, return_inverse=True)
     single = (noise * np.sqrt(data.repeats))[first]
-    return ErrorSizes(np.bincount(group, squared) * single**2, np.bincount(group, freedom), single, first, setup[first])
-
-
-def _numbered(data: Measurements, label: Label) -> np.ndarray:
-    """Return the number (n_rows,) of each row's series and what a label names."""
-    each = pd.DataFrame({"series": data.series_number, "name": data.labels(label)})
-    return np.asarray(each.groupby(["series", "name"]).ngroup())
+    return ErrorSizes(np.bincount(group, squared) * single**2, np.bincount(group, freedom), single, first)
 
 
 def _indicators(number: np.ndarray) -> np.ndarray:

@@ -80,27 +80,20 @@ def points_at(conditions: np.ndarray, places: np.ndarray | None = None) -> Quant
 class SeriesNoise:
     """The noise of a series: sigma of a single row (at zero range), its source, and its growth with range [m/m].
 
-    typical is its root mean square over the measured rows. Both are in the series' leading unit. factors: of the noise by
-    label, in each session or of each marker where it is another.
+    typical is its root mean square over the measured rows. Both are in the series' leading unit. factors: of the noise by what a
+    label names, in those sessions or of those markers where it is another.
     """
 
     sigma: float
     source: Source
     typical: float
     growth: float = 0.0
-    factors: Mapping[Label, Mapping[str, float]] = field(default_factory=dict)
+    label: Label = "session"
+    factors: Mapping[str, float] = field(default_factory=dict)
 
     def factor(self, data: Measurements) -> np.ndarray:
         """Return each row's factor (n_rows,)."""
-        factor = np.ones(len(data))
-        for label, of_names in self.factors.items():
-            factor *= [of_names.get(name, 1.0) for name in data.labels(label)]
-        return factor
-
-    @property
-    def least_factor(self) -> float:
-        """The least of these factors, of rows that have one of each label."""
-        return float(np.prod([min(1.0, *of_names.values()) for of_names in self.factors.values()]))
+        return np.array([self.factors.get(name, 1.0) for name in data.labels(self.label)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +170,8 @@ class CalibratedModel:
         beyond = np.zeros(len(data))
         for k, device in enumerate(self.device):
             rows = data.of_series(k)
-            beyond[rows] = device.sigma * np.sqrt(device.factor(data)[rows] ** 2 - device.least_factor**2)
+            least = min([1.0, *device.factors.values()])
+            beyond[rows] = device.sigma * np.sqrt(device.factor(data)[rows] ** 2 - least**2)
         return beyond
 
     def noise(self, data: Measurements) -> Noise:

@@ -100,25 +100,26 @@ class DeviceNoise:
     by_marker: Mapping[str, float] = column("by which a marker's rows are", name="marker {marker}")
 
     @property
-    def factors(self) -> Mapping[Label, Mapping[str, float]]:
-        """Factors of the noise by session and marker, where it is another."""
-        sessions = {"": self.factor} | {name.removeprefix("factor "): times for name, times in self.by_session.items()}
-        markers = {name.removeprefix("marker "): times for name, times in self.by_marker.items()}
-        every: dict[Label, dict[str, float]] = {"session": sessions, "marker": markers}
-        other = {label: {name: times for name, times in each.items() if times != 1} for label, each in every.items()}
-        return {label: each for label, each in other.items() if each}
+    def label(self) -> Label:
+        """What tells the rows apart whose noise is another: their session, or their marker."""
+        return "marker" if any(times != 1 for times in self.by_marker.values()) else "session"
 
     @property
-    def statements(self) -> list[str]:
-        """A sentence on the noisiest session, and marker, of a series whose noise nobody stated; none where all are alike."""
-        found, of = list[str](), f" of {self.series}" if self.series else ""
-        for label, factors in self.factors.items() if self.source != "file" else ():
-            noisiest = max(factors, key=lambda name: factors[name])
-            times = factors[noisiest] / min(factors.values())
-            if times > WORTH_TELLING:
-                named = f"{first_up(label)} {noisiest or 'without a name'}{of}"
-                found.append(f"{named} scatters {rounded(times)} times as much as the quietest: see {LOOK[label]}.")
-        return found
+    def factors(self) -> Mapping[str, float]:
+        """Factors of the noise in those sessions, or of those markers, where it is another."""
+        every = self.by_marker if self.label == "marker" else {"factor ": self.factor, **self.by_session}
+        return {name.partition(" ")[2]: times for name, times in every.items() if times != 1}
+
+    @property
+    def statement(self) -> str:
+        """A sentence on the noisiest session, or marker, of a series whose noise nobody stated; empty where all are alike."""
+        factors = self.factors
+        times = max(factors.values(), default=1.0) / min(factors.values(), default=1.0)
+        if self.source == "file" or times <= WORTH_TELLING:
+            return ""
+        noisiest = max(factors, key=lambda name: factors[name]) or "without a name"
+        named = f"{first_up(self.label)} {noisiest}{f' of {self.series}' if self.series else ''}"
+        return f"{named} scatters {rounded(times)} times as much as the quietest: see {LOOK[self.label]}."
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -331,23 +332,19 @@ def observation_table(observed: Sequence[Observation]) -> pd.DataFrame:
 
 def noise_table(devices: Sequence[SeriesNoise], observed: Sequence[Observation]) -> pd.DataFrame:
     """Return the table of `DeviceNoise`."""
-    rows = []
-    sessions, markers = (
-        dict.fromkeys(name for device in devices for name in device.factors.get(label, {}) if name)
-        for label in ("session", "marker")
-    )
+    rows, named = [], dict.fromkeys((device.label, name) for device in devices for name in device.factors if name)
     for device, observation in zip(devices, observed, strict=True):
         unit = observation.units[0]
         sigma, typical = unit.shown(device.sigma), unit.shown(device.typical)
-        by_session, by_marker = device.factors.get("session", {}), device.factors.get("marker", {})
+        own = {(device.label, name): factor for name, factor in device.factors.items()}
         lengths = {"sigma_mm": sigma, "typical_mm": typical} if unit == METRE else {}
         rows.append(
             DeviceNoise(
                 series=observation.series.name, kind=observation.id, source=device.source, unit=unit.label, sigma=sigma,
                 typical=typical, growth_mm_per_m=1e3 * device.growth,
-                factor=by_session.get("", 1.0),
-                by_session={f"factor {session}": by_session.get(session, 1.0) for session in sessions},
-                by_marker={f"marker {marker}": by_marker.get(marker, 1.0) for marker in markers}, **lengths,
+                factor=own.get(("session", ""), 1.0),
+                by_session={f"factor {name}": own.get((by, name), 1.0) for by, name in named if by == "session"},
+                by_marker={f"marker {name}": own.get((by, name), 1.0) for by, name in named if by == "marker"}, **lengths,
             )
         )  # fmt: skip
     return to_frame(rows, DeviceNoise)
@@ -434,6 +431,7 @@ def read_error_model(stage: str, results: Results, observed: Sequence[Observatio
                 row.source,
                 row.typical / units[row.unit].scale,
                 row.growth_mm_per_m / 1e3,
+                row.label,
                 row.factors,
             )
             for row in results.rows(f"{stage}/noise.csv", DeviceNoise)

@@ -267,7 +267,7 @@ def headline(outcome: RunOutcome) -> str:
 
 def foremost(outcome: RunOutcome) -> list[str]:
     """Return sentences on a contradicted or uneven noise and on a lack of fit, which precede any cause."""
-    uneven = (sentence for series in outcome.device_noise for sentence in series.statements)
+    uneven = (series.statement for series in outcome.device_noise)
     sentences = (*(doubt.statement for doubt in outcome.noise_doubts), *uneven, outcome.lack_of_fit_words)
     return [sentence for sentence in sentences if sentence]
 
