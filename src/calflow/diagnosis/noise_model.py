@@ -17,7 +17,7 @@ import scipy
 from calflow.diagnosis.fitted import MOST_LEVERAGE, Fitted
 from calflow.estimation.calibrated_model import SeriesNoise
 from calflow.estimation.lack_of_fit import WORTH_TELLING, NoiseDoubt, doubt
-from calflow.estimation.noise import MIN_REPEATS, Label, Noise, deviations
+from calflow.estimation.noise import MIN_REPEATS, Label, Noise, Scatter, deviations
 from calflow.files.deferred import pd
 from calflow.files.units import METRE
 from calflow.files.words import rounded
@@ -158,20 +158,11 @@ Kind = TypeVar("Kind", Growth, NoiseLevels)
 
 
 @dataclass(frozen=True, eq=False)
-class ErrorSizes:
-    """Sizes of errors: squares (n,) [unit²] with degrees of freedom (n,), and the noise taken to be theirs (n,) [unit].
+class ErrorSizes(Scatter):
+    """Sizes of errors: squares with degrees of freedom, the noise taken to be theirs (n,) [unit], and their rows (n,)."""
 
-    rows (n,): their rows.
-    """
-
-    squared: np.ndarray
-    freedom: np.ndarray
     noise: np.ndarray
     rows: np.ndarray
-
-    def only(self, which: np.ndarray) -> ErrorSizes:
-        """Return a subset."""
-        return ErrorSizes(**{name: value[which] for name, value in vars(self).items()})
 
     @property
     def root(self) -> np.ndarray:

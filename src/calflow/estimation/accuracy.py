@@ -159,7 +159,7 @@ def errors(
 def leading_errors(model: Model, estimate: np.ndarray, measured: Measurements) -> np.ndarray:
     """Return the errors as `errors` does, those of each row in the leading unit of its series."""
     model, estimate = completed(model, estimate, measured)
-    return _in_leading_units(model.observed_error, model, estimate, _observed_series(model, measured))
+    return _in_leading_units(model.observed_error, model, estimate, measured)
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,17 +192,16 @@ def error_jacobian(
 ) -> np.ndarray:
     """Return the Jacobian of `errors`, shape (n_rows, 3 or more, n_parameters), zero where `errors` has nan."""
     model = observing(model, measured)
-    jacobian = _in_leading_units(model.observed_jacobian, model, estimate, _observed_series(model, measured))
+    jacobian = _in_leading_units(model.observed_jacobian, model, estimate, measured)
     return np.nan_to_num(_masked(jacobian, measured, unit))
 
 
-def _in_leading_units(
-    values: Values, model: Model, estimate: np.ndarray, every: Sequence[_ObservedSeries]
-) -> np.ndarray:
+def _in_leading_units(values: Values, model: Model, estimate: np.ndarray, measured: Measurements) -> np.ndarray:
     """Return values of all rows in the leading unit of their series, (n_rows, 3 or more, …); nan where a row has fewer.
 
     A device's axes are rotated into its frame.
     """
+    every = _observed_series(model, measured)
     leading = [
         [k for k, unit in enumerate(seen.observation.units) if unit == seen.observation.units[0]] for seen in every
     ]
@@ -242,13 +241,11 @@ def accuracy(
     """
     what = {"effect": added.id, "detail": added.detail} if added else {}
     where = {"joint": added.joint or None, "part": added.part} if isinstance(added, Cause) else {}
-    leading, size = leading_units(measured), distances(error)
-    first, known = judged_unit(leading), np.isfinite(size)
+    leading, judged = leading_units(measured), residuals(error, measured).dropna(subset="error")
     rows = []
-    for unit in dict.fromkeys((first, *leading)):
-        judged = known & np.isin(measured.series_number, [k for k, other in enumerate(leading) if other == unit])
+    for unit in dict.fromkeys((judged_unit(leading), *leading)):
         for split in ("train", "holdout"):
-            part = unit.scale * size[judged & (measured.table["split"] == split).to_numpy()]
+            part = judged["error"][(judged["unit"] == unit.label) & (judged["split"] == split)].to_numpy()
             if len(part):
                 figures = dict(zip(("mean", "rms", "max"), mean_rms_max(part), strict=True))
                 lengths = {f"{figure}_mm": value for figure, value in figures.items() if unit == METRE}

@@ -37,6 +37,7 @@ HALVINGS = 5  # at most
 LEAST_POSES = 4  # of a block
 FALSE_GAIN = 0.01  # false-alarm rate: probability that a useless correction is applied
 CERTAIN = 1.96  # standard deviations of a 95 % interval
+CORRECTED = "residual field (not physical)"  # the correction of a row of `FieldAccuracy`
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,12 +165,11 @@ def field_results(
 
 def field_summary(field: ResidualField | None, gain: FieldGain) -> FieldSummary:
     """Return the hyperparameters of a field, and its gain."""
-    judged = gain.blocks > 0
-    before, after = gain.rms_mm if judged else (None, None)
+    before, after = gain.rms_mm if gain.blocks else (None, None)
     return FieldSummary(
         kind="not physical", applied=field is not None, statement=gain.statement, poses=gain.poses, blocks=gain.blocks,
         rms_without_mm=before, rms_corrected_mm=after,
-        p=gain.p, covered=gain.covered if judged else None,
+        p=gain.p, covered=gain.covered,
         size_mm=1e3 * field.size if field else None, rest_mm=1e3 * field.rest if field else None,
         own_mm=1e3 * field.own if field else None, lengths=tuple(map(float, field.length)) if field else (),
     )  # fmt: skip
@@ -182,22 +182,17 @@ def _accuracy(
     rows = []
     if gain.blocks:
         rows = [_row("none", "left-out blocks", gain.without, None)]
-        rows.append(_row("residual field (not physical)", "left-out blocks", gain.corrected, gain.covered))
+        rows.append(_row(CORRECTED, "left-out blocks", gain.corrected, gain.covered))
     unseen = data.only(data.held_out)
     error = errors(calibrated.model, calibrated.estimate, unseen)
     whole = ~np.isnan(error).any(axis=1)
     if field is not None and whole.any():
         unseen, error = unseen.only(whole), error[whole]
-        rows.append(_judged("none", calibrated, unseen, error))
-        rows.append(_judged("residual field (not physical)", replace(calibrated, field=field), unseen, error))
+        for correction, model in (("none", calibrated), (CORRECTED, replace(calibrated, field=field))):
+            off = error + model.field_correction(unseen.conditions)
+            covered = np.abs(off) < CERTAIN * np.sqrt(model.promised_variance(unseen, METRE))
+            rows.append(_row(correction, "holdout", np.linalg.norm(off, axis=1), float(covered.mean())))
     return to_frame(rows, FieldAccuracy)
-
-
-def _judged(correction: str, calibrated: CalibratedModel, data: Measurements, error: np.ndarray) -> FieldAccuracy:
-    """Return the accuracy at held-out rows of a model, corrected by its field if it has one; error (n, 3) [m] is uncorrected."""
-    off = error + calibrated.field_correction(data.conditions)
-    covered = float((np.abs(off) < CERTAIN * np.sqrt(calibrated.promised_variance(data, METRE))).mean())
-    return _row(correction, "holdout", np.linalg.norm(off, axis=1), covered)
 
 
 def _row(correction: str, where: str, distance: np.ndarray, covered: float | None) -> FieldAccuracy:

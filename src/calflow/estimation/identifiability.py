@@ -73,7 +73,6 @@ class Identifiability:
     """Number of directions that the data determine, in all and by effect, and the directions they leave open."""
 
     rank: int
-    n_parameters: int
     rank_by_effect: Mapping[str, int]
     left_open: tuple[Statement, ...]
 
@@ -119,7 +118,7 @@ def identifiability(fit: Fit) -> Identifiability:
         upto = np.isin(effects, [*ranks, effect])
         now = int((np.linalg.svd(scaled[:, upto], compute_uv=False) >= KNOWN).sum())
         ranks[effect], seen = now - seen, now
-    return Identifiability(int((~null & ~weak).sum()), len(names), ranks, tuple(rows))
+    return Identifiability(int((~null & ~weak).sum()), ranks, tuple(rows))
 
 
 def correlations(fit: Fit) -> pd.DataFrame:

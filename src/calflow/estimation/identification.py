@@ -94,7 +94,7 @@ class FittedEffects:
             intraclass=noise.intraclass,
             spread_mm=1e3 * float(np.linalg.norm(points - points.mean(axis=0), axis=1).mean()),
             rank=identifiability.rank,
-            parameters=identifiability.n_parameters,
+            parameters=len(fit.model.parameters),
             rank_by_effect=dict(identifiability.rank_by_effect),
             effective_parameters=fit.effective_parameters,
             training_poses=data.table.loc[data.train, "pose"].nunique(),

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
@@ -98,16 +98,11 @@ class SeriesBlock:
 
     def at(self, places: np.ndarray | slice) -> SeriesBlock:
         """Return the rows at the given indices (n,), in this order; they must be whole standstills."""
-        return replace(
-            self,
-            rows=self.rows[places],
-            conditions=self.conditions[:, places],
-            reported=self.reported[:, places],
-            whitening=self.whitening[:, places],
-            sigma=self.sigma[:, places],
-            total=self.total[:, places],
-            standstill=self.standstill[places],
-        )
+        # Rows are along the last axis of every array.
+        of_rows: dict[str, Any] = {
+            name: value[..., places] for name, value in vars(self).items() if isinstance(value, np.ndarray)
+        }
+        return replace(self, **of_rows)
 
     def parts(self, group: np.ndarray | None = None, size: int | None = None) -> Iterator[SeriesBlock]:
         """Yield successive parts of about `size` rows, so that memory does not grow with the data.

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 import numpy as np
 import scipy
@@ -42,9 +42,9 @@ class Scatter:
     squared: np.ndarray
     freedom: np.ndarray
 
-    def only(self, rows: np.ndarray) -> Scatter:
+    def only(self, rows: np.ndarray) -> Self:
         """Return the scatter of a subset of rows, given by a mask or by indices."""
-        return Scatter(self.squared[rows], self.freedom[rows])
+        return replace(self, **{name: value[rows] for name, value in vars(self).items()})
 
     def gathered(self, group: np.ndarray) -> Scatter:
         """Return the scatter summed over groups of rows, numbered from 0 by group (n_rows,)."""
