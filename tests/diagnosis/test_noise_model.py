@@ -220,6 +220,25 @@ def test_a_loose_marker_does_not_widen_what_is_promised_of_the_others(stated):
     np.testing.assert_allclose(of_marker, [quiet, 4.1, quiet], rtol=0.2)
 
 
+@pytest.mark.parametrize("stated", [True, False])
+def test_rows_further_off_are_promised_their_own_noise(stated):
+    """Fails if noise that grows with range is promised alike near and far, as where nobody stated one."""
+    seen = fitted(1, none, lambda r: 1e-5 + 2e-5 * r, stated=stated)
+    settled = seen.weighed(noise_of_residuals(seen).sigma(seen.data, seen.device))
+    grown = noise_of_residuals(seen).levelled(settled)
+    sigma = replace(settled.device, sigma=np.full(len(seen.data), np.median(settled.noise.sigma)))
+    calibrated = CalibratedModel(
+        settled.model, settled.fit.estimate, settled.covariance, settled.fit.at_bound,
+        grown.devices(series_noise(sigma), seen.data), settled.noise.discrepancy, settled.fit.loss, settled.errors,
+    )  # fmt: skip
+    promised = np.sqrt(calibrated.promised_variance(seen.data, METRE).mean(axis=1))
+    distance = seen.data.table["range"].to_numpy()
+    far = distance > np.quantile(distance, 0.9)
+    assert np.mean(promised[far] / (1e-5 + 2e-5 * distance[far])) == pytest.approx(1.0, abs=0.15)
+    elsewhere = replace(seen.data, table=seen.data.table.drop(columns="range"))
+    np.testing.assert_allclose(calibrated.noise(elsewhere).sigma, np.median(settled.noise.sigma))
+
+
 def test_markers_of_the_same_noise_are_not_told_apart():
     """Fails if chance differences between markers, or a session in which one of them was seen alone, change the noise of any."""
 

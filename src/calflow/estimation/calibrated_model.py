@@ -91,9 +91,18 @@ class SeriesNoise:
     label: Label = "session"
     factors: Mapping[str, float] = field(default_factory=dict)
 
-    def factor(self, data: Measurements) -> np.ndarray:
-        """Return each row's factor (n_rows,)."""
-        return np.array([self.factors.get(name, 1.0) for name in data.labels(self.label)])
+    def of_rows(self, data: Measurements, stated: np.ndarray | float = np.nan) -> np.ndarray:
+        """Return each row's noise (n_rows,), given that which it states (nan: none); typical where nothing tells it."""
+        own = np.full(len(data), stated if self.source == "file" and not self.growth else self.sigma)
+        if self.growth:
+            own += self.growth * (data.table["range"].to_numpy() if "range" in data.given else np.nan)
+        own *= [self.factors.get(name, 1.0) for name in data.labels(self.label)]
+        return np.where(np.isnan(own), self.typical, own)
+
+    @property
+    def shared(self) -> float:
+        """What all rows have of it where it is told by the fit alone, whose errors then hold it."""
+        return self.typical if self.growth else self.sigma * min([1.0, *self.factors.values()])
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,15 +172,15 @@ class CalibratedModel:
     def device_sigma(self, data: Measurements) -> np.ndarray:
         """Return the device's noise of rows (n_rows,) [leading unit] beside the model's errors.
 
-        Where it is not known apart from these, they hold it, and what rows have beyond that of the quietest is returned.
+        Where it is not known apart from these, they hold it, and what rows have beyond that of the quietest, or of the typical
+        where it grows with range, is returned.
         """
         if self.noise_known:
             return self.noise(data).sigma
         beyond = np.zeros(len(data))
         for k, device in enumerate(self.device):
             rows = data.of_series(k)
-            least = min([1.0, *device.factors.values()])
-            beyond[rows] = device.sigma * np.sqrt(device.factor(data)[rows] ** 2 - least**2)
+            beyond[rows] = np.sqrt(np.maximum(device.of_rows(data)[rows] ** 2 - device.shared**2, 0.0))
         return beyond
 
     def noise(self, data: Measurements) -> Noise:
@@ -180,12 +189,7 @@ class CalibratedModel:
         sigma = stated.sigma.copy()
         for k, device in enumerate(self.device):
             rows = data.of_series(k)
-            if device.growth:
-                sigma[rows] = device.sigma + device.growth * data.table["range"].to_numpy()[rows]
-            elif device.source != "file":
-                sigma[rows] = device.sigma
-            sigma[rows] *= device.factor(data)[rows]
-            sigma[rows & np.isnan(sigma)] = device.typical
+            sigma[rows] = device.of_rows(data, stated.sigma)[rows]
         return replace(
             stated, sigma=sigma, sources=tuple(device.source for device in self.device), discrepancy=self.discrepancy,
             intraclass=self.intraclass, corrected=any(device.factors for device in self.device),
