@@ -49,7 +49,7 @@ def test_left_out_rows_are_in_no_figure(small: Context) -> None:
 def test_the_reader_is_told_to_correct_the_file(small: Context) -> None:
     """Fails if a fault is not told on page one, a whole column after single rows, or without its lines."""
     material = report_material(small.study, small.results, small.run_folder)
-    text = source("", [("", section.FAULTS_SECTION.write(material))])
+    text = source("", [("", section.faults_section.write(material))])
     for words in ("line 4", "left out", "all rows", "corrected", "The position in line 4 is 9 mm off. Left out."):
         assert words in text
     told = [item.sentence for item in advice(RunOutcome(small.results)) if item.sentence.startswith("Correct the meas")]
@@ -68,7 +68,7 @@ def test_an_unsettled_mistake_is_the_one_thing_to_do(small: Context) -> None:
     faults = as_table((mistyped,), small.study.measurements())
     results = small.results | Results({"identify/faults.csv": faults, "identify/residuals.csv": residuals})
     material = report_material(small.study, results, small.run_folder)
-    text = source("", [("", section.FAULTS_SECTION.write(material))])
+    text = source("", [("", section.faults_section.write(material))])
     assert "robot file" in text
     assert "nothing: settle it first" in text
     assert not [words for words in ("corrected", "left out", "all rows") if words in text]
@@ -82,10 +82,10 @@ def test_an_unsettled_mistake_is_the_one_thing_to_do(small: Context) -> None:
 def test_the_section_is_there_where_faults_are(small: Context, tmp_path) -> None:
     """Fails if a report without faults has an empty section, or one with faults cannot be written."""
     material = report_material(small.study, small.results, small.run_folder)
-    assert section.FAULTS_SECTION in chosen(sections(), material)
+    assert section.faults_section in chosen(sections(), material)
     none = small.results | Results({"identify/faults.csv": small.tables["identify/faults.csv"].iloc[:0]})
-    assert section.FAULTS_SECTION not in chosen(sections(), replace(material, results=none))
+    assert section.faults_section not in chosen(sections(), replace(material, results=none))
     write_pdf(
-        "title", [("Verdict", []), (section.FAULTS_SECTION.title, section.FAULTS_SECTION.write(material))], tmp_path
+        "title", [("Verdict", []), (section.faults_section.title, section.faults_section.write(material))], tmp_path
     )
     assert (tmp_path / "report.pdf").read_bytes().startswith(b"%PDF")

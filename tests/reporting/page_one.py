@@ -8,7 +8,7 @@ from pathlib import Path
 
 from calflow.reporting.blocks import Block, Bullets, Card, Columns, Heading, Paragraph, RestOfPage
 from calflow.reporting.material import Material
-from calflow.reporting.sections.verdict import VERDICT_SECTION
+from calflow.reporting.sections.verdict import verdict_section
 from calflow.reporting.style import style
 from calflow.run_folder import read_manifest, read_results
 from calflow.stages.report import report_material
@@ -57,7 +57,7 @@ def unfit(said: Sequence[str]) -> list[str]:
 def page_one(material: Material) -> list[str]:
     """All that page one says, without the report's title, which is the user's."""
     with style():
-        return [text for text in texts(VERDICT_SECTION.write(material)) if text != material.title]
+        return [text for text in texts(verdict_section.write(material)) if text != material.title]
 
 
 def of_run(study: Path, folder: Path, *stages: str) -> list[str]:

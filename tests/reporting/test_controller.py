@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from calflow.files.words import mm
 from calflow.reporting.blocks import Table
 from calflow.reporting.material import Material
-from calflow.reporting.sections.controller_figures import CONTROLLER_SECTION, reported_figures, zeros
+from calflow.reporting.sections.controller_figures import controller_section, reported_figures, zeros
 from calflow.reporting.sections.verdict import levels_of_effort
 from calflow.stages.report import report_material
 from reporting.case import Case, context
@@ -72,12 +72,12 @@ def test_without_anything_else_in_the_model_the_figures_are_worth_as_much(materi
 
 def test_the_page_holds_every_figure(material: Material) -> None:
     """Fails if a joint or the base is missing, or the section is there without a fitted geometry."""
-    tables = [block for block in CONTROLLER_SECTION.write(material) if isinstance(block, Table)]
+    tables = [block for block in controller_section.write(material) if isinstance(block, Table)]
     assert [len(table.rows) for table in tables] == [3, 3, 1, 1, 2]
     assert tables[0].header[0] == "joint"
     levels, _ = levels_of_effort(material)
     assert [row[1:] for row in levels.rows] == [[mm(level.mean), mm(level.max)] for level in material.levels.every]
-    assert CONTROLLER_SECTION.has_content(material)
+    assert controller_section.has_content(material)
 
 
 def test_a_tool_differs_from_the_robot_file(material: Material) -> None:

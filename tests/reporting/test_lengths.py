@@ -12,9 +12,9 @@ from calflow.files.tables import Results
 from calflow.files.words import mm
 from calflow.reporting.blocks import Card, Columns, Paragraph, Plot, Table
 from calflow.reporting.material import Material
-from calflow.reporting.sections.accuracy import ACCURACY_SECTION
-from calflow.reporting.sections.controller_figures import CONTROLLER_SECTION
-from calflow.reporting.sections.verdict import VERDICT_SECTION
+from calflow.reporting.sections.accuracy import accuracy_section
+from calflow.reporting.sections.controller_figures import controller_section
+from calflow.reporting.sections.verdict import verdict_section
 from calflow.stages.identify import STAGE as IDENTIFY
 from calflow.stages.report import report_material
 from calflow.stages.stage import Context
@@ -35,7 +35,7 @@ def material(tmp_path_factory: pytest.TempPathFactory) -> Material:
 
 def test_page_one_has_the_tools_own_error(material: Material) -> None:
     """Fails if errors of lengths are all that page one has, though the tool's position is known far less well."""
-    rows = [block for block in VERDICT_SECTION.write(material) if isinstance(block, Columns)]
+    rows = [block for block in verdict_section.write(material) if isinstance(block, Columns)]
     cards = [card for row in rows for part in row.parts for card in part if isinstance(card, Card)]
     expected = material.certainty.prediction_sd_mm
     assert expected > 5 * material.certainty.left
@@ -44,7 +44,7 @@ def test_page_one_has_the_tools_own_error(material: Material) -> None:
 
 def test_noise_of_lengths_has_one_axis(material: Material) -> None:
     """Fails if the errors of lengths are compared with the noise of positions, or called distances of the tool."""
-    blocks = ACCURACY_SECTION.write(material)
+    blocks = accuracy_section.write(material)
     (spread,) = (block for block in blocks if isinstance(block, Plot) and block.name == "error_distribution")
     (noise,) = (line for line in spread.drawn.axes[0].lines if line.get_label() == "noise alone")
     median = np.interp(50, noise.get_ydata(), noise.get_xdata())
@@ -54,7 +54,7 @@ def test_noise_of_lengths_has_one_axis(material: Material) -> None:
 
 def test_figures_of_origins_have_room(material: Material) -> None:
     """Fails if figures are wider than the page, those of different units share a column, or one not fitted has a difference."""
-    tables = [block for block in CONTROLLER_SECTION.write(material) if isinstance(block, Table)]
+    tables = [block for block in controller_section.write(material) if isinstance(block, Table)]
     assert all(len(table.header) <= 11 for table in tables)
     lengths, angles = (" ".join(table.header) for table in tables[:2])
     assert ("deg" in lengths, "mm" in angles, "tilt_back" in angles) == (False, False, False)

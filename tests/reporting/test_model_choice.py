@@ -6,13 +6,13 @@ from calflow.deployment.run_outcome import RunOutcome
 from calflow.diagnosis.cause_tables import CauseProbability, ModelRow
 from calflow.files.tables import Results, to_frame
 from calflow.reporting.blocks import Table
-from calflow.reporting.sections.model_choice import MODEL_CHOICE_SECTION
+from calflow.reporting.sections.model_choice import model_choice_section
 from reporting.case import weighed_models
 
 
 def told(tables):
     """The section's blocks."""
-    return MODEL_CHOICE_SECTION.write(RunOutcome(Results(tables)))
+    return model_choice_section.write(RunOutcome(Results(tables)))
 
 
 def test_models_are_listed_with_the_forms_of_their_causes():
@@ -26,5 +26,5 @@ def test_nothing_found_has_no_section():
     """Fails if a study in which diagnose found nothing has an empty section."""
     empty = {"diagnose/models_in_reach.csv": to_frame((), ModelRow),
              "diagnose/cause_probabilities.csv": to_frame((), CauseProbability)}  # fmt: skip
-    assert not MODEL_CHOICE_SECTION.has_content(RunOutcome(Results(empty)))
-    assert MODEL_CHOICE_SECTION.has_content(RunOutcome(Results(weighed_models())))
+    assert not model_choice_section.has_content(RunOutcome(Results(empty)))
+    assert model_choice_section.has_content(RunOutcome(Results(weighed_models())))

@@ -14,7 +14,7 @@ from calflow.estimation.certainty import Certainty
 from calflow.estimation.identifiability import scale_words
 from calflow.files.tables import from_document, to_document
 from calflow.reporting.document import write_pdf
-from calflow.reporting.sections.verdict import VERDICT_SECTION, next_steps
+from calflow.reporting.sections.verdict import next_steps, verdict_section
 from calflow.reporting.sections.verdict import tested_words as words_of
 from calflow.reporting.style import style
 from calflow.stages.report import STAGE, report_material
@@ -78,7 +78,7 @@ def test_page_one_is_legible(small: Context, tmp_path: Path) -> None:
     results = replace(given.results, documents={**given.results.documents, "diagnose/certainty.json": document})
     material = report_material(given.study, results, given.run_folder)
     with style():
-        write_pdf(material.title, [("", VERDICT_SECTION.write(material)), ("Next", [])], tmp_path)
+        write_pdf(material.title, [("", verdict_section.write(material)), ("Next", [])], tmp_path)
     assert smallest_print((tmp_path / "report.pdf").read_bytes()) >= 8
 
 
@@ -181,11 +181,11 @@ def test_who_measured_what_when_stands_on_every_page(small: Context, tmp_path: P
     """Fails if a page does not say which robot it is of, or leaves unsaid that nobody stated it."""
     material = report_material(small.study, small.results, small.run_folder)
     with style():
-        assert "not stated: serial number, date, instrument, operator" in set(texts(VERDICT_SECTION.write(material)))
+        assert "not stated: serial number, date, instrument, operator" in set(texts(verdict_section.write(material)))
         asked = Acceptance.model_validate({"serial_number": "R-17", "operator": "A. Meister"})
         signed = replace(material, request=material.request.model_copy(update={"acceptance": asked}))
         assert "serial number R-17  ·  operator A. Meister  ·  not stated: date, instrument" in set(
-            texts(VERDICT_SECTION.write(signed))
+            texts(verdict_section.write(signed))
         )
 
 

@@ -27,8 +27,8 @@ from calflow.reporting.section import Section, sections
 from calflow.reporting.sections import residuals
 from calflow.reporting.sections.accuracy import certainty_words
 from calflow.reporting.sections.isolability import MOST, near_figure, near_rivals
-from calflow.reporting.sections.parameters import PARAMETERS_SECTION
-from calflow.reporting.sections.posterior import POSTERIOR_SECTION
+from calflow.reporting.sections.parameters import parameters_section
+from calflow.reporting.sections.posterior import posterior_section
 from calflow.reporting.style import style
 from calflow.stages.report import EFFORT, STAGE, report_material
 from calflow.stages.stage import Context
@@ -226,7 +226,7 @@ def test_a_sampled_run_without_its_chain_is_reported(
     whole: Context, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Fails if the chain's figures are drawn or kept without it, or nothing is; what else the report has is left out here."""
-    monkeypatch.setattr(document, "sections", lambda: [PARAMETERS_SECTION, POSTERIOR_SECTION])
+    monkeypatch.setattr(document, "sections", lambda: [parameters_section, posterior_section])
     (tmp_path / "figures").mkdir()
     (tmp_path / "figures" / "traces.svg").touch()  # of an earlier report, which had a chain
     files = built(replace(whole, run_folder=tmp_path / "elsewhere"), tmp_path)
@@ -278,7 +278,7 @@ def test_of_very_many_rows_some_are_drawn_and_the_worst(small: Context, monkeypa
     assert set(np.argsort(crowd.distance)[-3:]) <= set(crowd.drawn)
     assert 12 <= len(crowd.drawn) <= 15
     with style():
-        drawn = [block for block in residuals.RESIDUALS_SECTION.write(crowd) if isinstance(block, Plot)]
+        drawn = [block for block in residuals.residuals_section.write(crowd) if isinstance(block, Plot)]
     assert {len(plot.data) for plot in drawn} == {len(crowd.drawn)}
     assert f"Of {len(crowd.data)} rows 12 are drawn, at random, and the 3 of the largest errors" in drawn[0].caption
     scene = drawn[1].scene

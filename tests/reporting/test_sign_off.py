@@ -68,15 +68,15 @@ def test_a_study_that_states_it_is_signed(tmp_path) -> None:
     }
     asked = Acceptance.model_validate(stated)
     signed = replace(material, request=material.request.model_copy(update={"acceptance": asked}))
-    assert acceptance.ACCEPTANCE_SECTION not in chosen(sections(), material)
-    assert acceptance.ACCEPTANCE_SECTION in chosen(sections(), signed)
-    blocks = acceptance.ACCEPTANCE_SECTION.write(signed)
+    assert acceptance.acceptance_section not in chosen(sections(), material)
+    assert acceptance.acceptance_section in chosen(sections(), signed)
+    blocks = acceptance.acceptance_section.write(signed)
     (table,) = [block for block in blocks if isinstance(block, Table)]
     assert {("serial number", "R-1 <b>"), ("date", "2025-11-20"), ("temperature", "21.4 °C")} < set(table.rows)
     assert "certificate of the instrument" not in dict(table.rows)
     assert any(isinstance(block, Signatures) for block in blocks)
     with style():
-        cards = [card for block in verdict.VERDICT_SECTION.write(signed) if isinstance(block, Columns)
+        cards = [card for block in verdict.verdict_section.write(signed) if isinstance(block, Columns)
                  for part in block.parts for card in part if isinstance(card, Card)]  # fmt: skip
     passed = "all 12 held-out poses within 1.00 mm, with corrected commands"
     assert ("✓ PASSED", passed) in {(card.big, card.small) for card in cards}
@@ -84,7 +84,7 @@ def test_a_study_that_states_it_is_signed(tmp_path) -> None:
     unsigned = replace(material, request=material.request.model_copy(update={"acceptance": anonymous}))
     card = acceptance.verdict_card(unsigned)
     assert (card.big, card.small) == ("NOT YET", f"{passed}; not stated: serial number, operator")
-    blocks = acceptance.ACCEPTANCE_SECTION.write(unsigned)
+    blocks = acceptance.acceptance_section.write(unsigned)
     (table,) = [block for block in blocks if isinstance(block, Table)]
     assert {("serial number", "open: not stated"), ("operator", "open: not stated")} < set(table.rows)
     assert not any(isinstance(block, Signatures) for block in blocks)

@@ -9,14 +9,14 @@ import re
 import pytest
 
 from calflow.reporting import document
-from calflow.reporting.sections.plan import PLAN_SECTION
-from calflow.reporting.sections.verdict import VERDICT_SECTION
+from calflow.reporting.sections.plan import plan_section
+from calflow.reporting.sections.verdict import verdict_section
 
 
 @pytest.fixture
 def verdict_alone(monkeypatch):
     """Reports of page one alone, for those who ask what a report is of."""
-    monkeypatch.setattr(document, "sections", lambda: [VERDICT_SECTION, PLAN_SECTION])
+    monkeypatch.setattr(document, "sections", lambda: [verdict_section, plan_section])
 
 
 def text(folder):

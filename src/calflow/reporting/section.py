@@ -22,11 +22,18 @@ class Section:
     title: str
     needs: str
     write: Callable[[Material], list[Block]]
-    has_content: Callable[[Material], bool] = lambda material: True
+    has_content: Callable[[Material], bool]
 
     def applies(self, material: Material) -> bool:
         """Whether its table exists and it has content."""
         return (not self.needs or self.needs in material.results) and self.has_content(material)
+
+
+def section(
+    order: int, title: str, needs: str, has_content: Callable[[Material], bool] = lambda material: True
+) -> Callable[[Callable[[Material], list[Block]]], Section]:
+    """Make a section of the decorated function, which writes it."""
+    return lambda write: Section(order, title, needs, write, has_content)
 
 
 def sections() -> list[Section]:

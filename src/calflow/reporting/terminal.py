@@ -12,7 +12,7 @@ from calflow.diagnosis.findings import Finding
 from calflow.files.words import capped, mm, number, plural, sureness
 from calflow.reporting.advice import WRONG, advice
 from calflow.reporting.sections.causes import gain_words, shows_gain
-from calflow.reporting.sections.verdict import VERDICT_SECTION, headline, named_steps
+from calflow.reporting.sections.verdict import headline, named_steps, verdict_section
 
 SUSPECTS_LISTED, UNTESTED_LISTED = 4, 6
 HOPELESS = 0.5  # best probability below which more poses of the same kind are not worthwhile
@@ -63,7 +63,7 @@ def _in_words(finding: Finding) -> str:
 
 
 def _verdict(outcome: RunOutcome) -> list[str]:
-    return [judgement(outcome), headline(outcome)] if VERDICT_SECTION.needs in outcome.results else []
+    return [judgement(outcome), headline(outcome)] if verdict_section.needs in outcome.results else []
 
 
 def next_lines(verdict: MeasuringVerdict) -> list[str]:

@@ -25,11 +25,11 @@ def _run(context: Context) -> Results:
     """Write report.pdf, report.html and figures/*.svg, and return the accuracy of each level of effort."""
     # imported here, since drawing and typesetting take long to load
     from calflow.reporting.document import write_report
-    from calflow.reporting.sections.controller_figures import CONTROLLER_SECTION
+    from calflow.reporting.sections.controller_figures import controller_section
 
     material = report_material(context.study, context.results, context.run_folder)
     write_report(material, context.folder, context.say, context.advance)
-    levels = material.effort_levels if CONTROLLER_SECTION.applies(material) else ()
+    levels = material.effort_levels if controller_section.applies(material) else ()
     return Results({EFFORT: to_frame(levels, EffortLevel)} if levels else {})
 
 

@@ -11,7 +11,7 @@ from calflow.files.deferred import pd
 from calflow.files.words import listed, mm, percent, plural
 from calflow.reporting.blocks import Block, Card, Look, Paragraph, Signatures, Table, in_a_line
 from calflow.reporting.material import Material
-from calflow.reporting.section import Section
+from calflow.reporting.section import section
 from calflow.study import Acceptance, StudyFile
 
 PASSED, FAILED, NOT_YET = "✓ PASSED", "✗ FAILED", "NOT YET"
@@ -137,7 +137,8 @@ def sign_card(verdict: str, why: str) -> Card:
     return Card("may it be signed?", verdict, why, LOOKS.get(verdict, "pale"), "")
 
 
-def _acceptance(material: Material) -> list[Block]:
+@section(3, "Acceptance", "identify/residuals.csv", lambda material: material.request.acceptance is not None)
+def acceptance_section(material: Material) -> list[Block]:
     """Return the facts stated by the study, and the verdict."""
     asked = material.request.acceptance
     assert asked is not None
@@ -183,8 +184,3 @@ def _why(material: Material, verdict: Judged | None) -> list[Block]:
     out = int((~splits.isin(["train", "holdout"])).sum())
     left_out = f" {plural(out, 'row')} of the measurement file were left out as faulty, and not judged." if out else ""
     return [Paragraph(f"{JUDGED} {verdict.share_words}{left_out}".replace("  ", " "))]
-
-
-ACCEPTANCE_SECTION = Section(
-    3, "Acceptance", "identify/residuals.csv", _acceptance, lambda material: material.request.acceptance is not None
-)

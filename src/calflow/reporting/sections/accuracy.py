@@ -23,7 +23,7 @@ from calflow.reporting.advice import LACKS
 from calflow.reporting.bars import error_budget
 from calflow.reporting.blocks import SPLITS, Block, Bullets, Paragraph, Plot, Table, headed
 from calflow.reporting.material import Material
-from calflow.reporting.section import Section
+from calflow.reporting.section import section
 from calflow.reporting.sections.verdict import named_steps, pose_errors
 from calflow.reporting.style import ACCENT, DARK, chart
 
@@ -83,7 +83,8 @@ def distribution(material: Material, noise_name: str) -> Figure:
     return drawn
 
 
-def _accuracy(material: Material) -> list[Block]:
+@section(10, "Accuracy", "identify/accuracy.csv")
+def accuracy_section(material: Material) -> list[Block]:
     """Return the accuracy of each model, and the distribution of the remaining errors."""
     accuracy, unit = material.accuracy, material.unit.label
     (before, *_), _ = material.errors_before_and_now
@@ -204,10 +205,8 @@ def _in_space(outcome: RunOutcome) -> list[Block]:
     ]
 
 
-ACCURACY_SECTION = Section(10, "Accuracy", "identify/accuracy.csv", _accuracy)
-
-
-def _residual_field(material: Material) -> list[Block]:
+@section(16, "A correction that is not physical", FIELD_ACCURACY)
+def residual_field_section(material: Material) -> list[Block]:
     """Return the description of the residual field, and its gain at held-out poses."""
     summary = material.results.document(SUMMARY, FieldSummary)
     rows = [
@@ -222,6 +221,3 @@ def _residual_field(material: Material) -> list[Block]:
         *([Table(header, rows, "llrrrrr", wide=0)] if rows else []),
         *([Paragraph(WHERE_APPLIED)] if summary.applied else []),
     ]
-
-
-RESIDUAL_FIELD_SECTION = Section(16, "A correction that is not physical", FIELD_ACCURACY, _residual_field)

@@ -7,7 +7,7 @@ from importlib.metadata import version
 from calflow.files.words import effect_words, number
 from calflow.reporting.blocks import Block, Paragraph, Table
 from calflow.reporting.material import Material
-from calflow.reporting.section import Section
+from calflow.reporting.section import section
 
 PACKAGES = ("calflow", "casadi", "emcee", "numpy", "scipy", "pandas")
 
@@ -27,7 +27,8 @@ def _in_a_line(value: object) -> str:
     return f"{value:.4g}" if isinstance(value, float) else getattr(value, "words", str(value))
 
 
-def _appendix(material: Material) -> list[Block]:
+@section(90, "Appendix: the run", "")
+def appendix_section(material: Material) -> list[Block]:
     """Tabulate the request, the versions used and the outcome."""
     robot, request = material.robot, material.request
     facts: list[tuple[str, str] | str] = [
@@ -79,6 +80,3 @@ def _placement(material: Material) -> list[tuple[str, str]]:
         place_words = ", ".join(place + turn * (placed.what == "base"))
         facts.append(("nominal pose", f"{placed.what}: {place_words} ({placed.source})"))
     return facts
-
-
-APPENDIX_SECTION = Section(90, "Appendix: the run", "", _appendix)

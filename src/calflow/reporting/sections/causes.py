@@ -33,7 +33,7 @@ from calflow.reporting.bars import evidence
 from calflow.reporting.blocks import Block, Bullets, Heading, Paragraph, Plot, Table, headed
 from calflow.reporting.cause_figures import explained_figure
 from calflow.reporting.material import Material
-from calflow.reporting.section import Section
+from calflow.reporting.section import section
 
 CANDIDATES_SHOWN = 10  # candidates in the figure
 LONGEST_NAME = 46  # characters of a name with its detail, above which the detail is omitted
@@ -67,6 +67,11 @@ SMOOTH = " Described by a smooth function of it, which has no physical meaning, 
 RIVALS_TOLD = 3  # rivals named with a finding
 GIVES_WAY = "The tool gives way by an amount that depends on its load"
 WANDERED = "What the instrument reports shifts in the course of the measurement"
+
+
+def _is_settled(outcome: RunOutcome) -> bool:
+    """Whether no mistake of the user is unsettled, which could cause all findings."""
+    return not mistake_unsettled(outcome)
 
 
 def candidates_figure(material: Material) -> list[Block]:
@@ -130,7 +135,8 @@ def _tested(rows: Sequence[CandidateRow]) -> list[CandidateRow]:
     return sorted((row for row in rows if np.isfinite(row.delta_bic)), key=lambda row: row.delta_bic)
 
 
-def _search(material: Material) -> list[Block]:
+@section(55, "The search for causes", "diagnose/candidates.csv", _is_settled)
+def search_section(material: Material) -> list[Block]:
     """Draw the strongest candidates, and tabulate detection limits and causes that could not be tested."""
     rows = material.candidates
     return [*candidates_figure(material), *limits(rows), *not_tested(rows)]
@@ -181,7 +187,8 @@ def _suspects(finding: Finding) -> str:
     return f"it may be {finding.suspects}, too uncertain to be put into the model; " if finding.suspects else ""
 
 
-def _causes(material: Material) -> list[Block]:
+@section(15, "What the model lacked: causes", "diagnose/findings.csv", _is_settled)
+def causes_section(material: Material) -> list[Block]:
     """Return each finding in words and figures, then what is left."""
     findings = material.findings
     causes = [finding for finding in findings if finding.is_cause]
@@ -342,12 +349,3 @@ def _curve_figure(finding: Finding, rows: pd.DataFrame, number: int, error_unit:
     caption = f"{first_up(title)}: errors without it, with it, and against what it explains."
     shown_rows = rows[["variable", "variable_unit", "x", *errors, "split"]]
     return Plot(f"cause_{number}", drawn, caption, shown_rows)
-
-
-def _is_settled(outcome: RunOutcome) -> bool:
-    """Whether no mistake of the user is unsettled, which could cause all findings."""
-    return not mistake_unsettled(outcome)
-
-
-CAUSES_SECTION = Section(15, "What the model lacked: causes", "diagnose/findings.csv", _causes, _is_settled)
-SEARCH_SECTION = Section(55, "The search for causes", "diagnose/candidates.csv", _search, _is_settled)

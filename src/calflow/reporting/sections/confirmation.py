@@ -12,7 +12,7 @@ from calflow.files.deferred import pd
 from calflow.files.words import mm, number
 from calflow.reporting.blocks import Block, Paragraph, Plot, Table
 from calflow.reporting.material import Material
-from calflow.reporting.section import Section
+from calflow.reporting.section import section
 from calflow.reporting.style import ACCENT, DARK, panels
 
 COLUMNS = 3
@@ -44,7 +44,8 @@ def two_series(curves: pd.DataFrame) -> Figure:
     return drawn
 
 
-def _confirmation(material: Material) -> list[Block]:
+@section(57, "Confirmation by an independent series", "diagnose/confirmation.csv")
+def confirmation_section(material: Material) -> list[Block]:
     """Tabulate and draw each joint's error by both series, and state the model's error on the other series."""
     curves = material.tables["diagnose/confirmation_curves.csv"]
     accuracy = material.results.rows("diagnose/confirmation_accuracy.csv", CarriedAccuracy)
@@ -82,6 +83,3 @@ def _carried(accuracy: Sequence[CarriedAccuracy]) -> str:
 def _either(revolute: float, slide: float, unit: str) -> str:
     """Return a revolute joint's figure in the column's unit, or a slide's with its unit."""
     return f"{slide:.0f} {unit}" if math.isfinite(slide) else number(revolute, ".0f")
-
-
-CONFIRMATION_SECTION = Section(57, "Confirmation by an independent series", "diagnose/confirmation.csv", _confirmation)

@@ -14,7 +14,7 @@ from calflow.files.words import effect_words, first_up, listed, number
 from calflow.reporting.advice import BY_PRIOR
 from calflow.reporting.blocks import Block, Heading, Paragraph, Table, headed
 from calflow.reporting.material import Material
-from calflow.reporting.section import Section
+from calflow.reporting.section import section
 from calflow.robot.formats.controller_files import added_to_readings
 from calflow.robot.robot import Robot
 
@@ -89,7 +89,8 @@ def reported_figures(material: Material) -> dict[str, dict[str, Figure]]:
     return parts
 
 
-def _controller_figures(material: Material) -> list[Block]:
+@section(20, "Figures for the controller", "identify/parameters.csv", lambda material: material.has_figures)
+def controller_section(material: Material) -> list[Block]:
     """Tabulate links, joint zeros, tool and base."""
     robot, parts = material.robot, reported_figures(material)
     joints = {
@@ -160,12 +161,3 @@ def _base(base: Mapping[str, Figure], known: bool) -> list[Block]:
     rows += [("robot file", *(figure.shown(figure.nominal) for figure in stands))] if known else []
     header = ("base", *(f"{figure.figure} [{figure.unit}]" for figure in stands))
     return [Paragraph(BASE.format(ways=ways), keep=True), Table(header, rows, "lrrrrrr", size=8)]
-
-
-CONTROLLER_SECTION = Section(
-    20,
-    "Figures for the controller",
-    "identify/parameters.csv",
-    _controller_figures,
-    lambda material: material.has_figures,
-)

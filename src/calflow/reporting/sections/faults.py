@@ -10,7 +10,7 @@ from calflow.files.words import effect_words, first_up
 from calflow.reporting.advice import faults_by_rows
 from calflow.reporting.blocks import Block, Paragraph, Table
 from calflow.reporting.material import Material
-from calflow.reporting.section import Section
+from calflow.reporting.section import section
 
 LINES_NAMED = 12  # lines of a file that are listed
 FOUND = "Gross mistakes in the measurement file, the robot file or the set-up, found before any fit."
@@ -29,7 +29,8 @@ DONE = {  # by action: the table's entry, and a sentence
 UNCHANGED = "The files themselves were not changed: correct them."
 
 
-def _data_faults(material: Material) -> list[Block]:
+@section(5, "Data faults", FAULTS, lambda outcome: len(outcome.tables[FAULTS]) > 0)
+def faults_section(material: Material) -> list[Block]:
     """Tabulate each fault with its lines and what was done, then state each in a sentence."""
     faults = faults_by_rows(material)
     rows = [
@@ -50,6 +51,3 @@ def _lines(rows: Sequence[FaultyRow]) -> str:
     if rows[0].action == "unsettled":
         return "–"
     return lines_in_words(lines, LINES_NAMED) if lines else "all rows"
-
-
-FAULTS_SECTION = Section(5, "Data faults", FAULTS, _data_faults, lambda outcome: len(outcome.tables[FAULTS]) > 0)

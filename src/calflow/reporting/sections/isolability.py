@@ -15,7 +15,7 @@ from calflow.files.words import first_up, plural
 from calflow.reporting.advice import ISOLABILITY_TABLE
 from calflow.reporting.blocks import Block, Paragraph, Plot
 from calflow.reporting.material import Material
-from calflow.reporting.section import Section
+from calflow.reporting.section import section
 from calflow.reporting.style import DARK, LIGHT, MIDDLE, chart
 
 ROW, AROUND = 0.155, 0.55  # inches per cause, and of the axis below them
@@ -61,7 +61,8 @@ def near_figure(near: Sequence[Sequence[IsolabilityCell]]) -> Figure:
     return drawn
 
 
-def _isolability(material: Material) -> list[Block]:
+@section(71, "Which causes these poses distinguish", ISOLABILITY_TABLE)
+def isolability_section(material: Material) -> list[Block]:
     """Draw the causes that have a near rival, name those that are not detected, and state each gap that can be filled."""
     table = material.tables[ISOLABILITY_TABLE]
     cells = [cell for cell in from_frame(table, IsolabilityCell) if cell.part]
@@ -78,6 +79,3 @@ def _isolability(material: Material) -> list[Block]:
         *(Paragraph(f"{first_up(words)}.") for words in isolability_gaps(table)),
         Paragraph(f"All probabilities, and the gaps that none of the additions fills, are in {ISOLABILITY_TABLE}."),
     ]  # fmt: skip
-
-
-ISOLABILITY_SECTION = Section(71, "Which causes these poses distinguish", ISOLABILITY_TABLE, _isolability)

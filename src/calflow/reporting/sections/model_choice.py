@@ -7,7 +7,7 @@ from calflow.effects.wording import cause_name, place_name
 from calflow.files.words import first_up, number
 from calflow.reporting.blocks import Block, Paragraph, Table
 from calflow.reporting.material import Material
-from calflow.reporting.section import Section
+from calflow.reporting.section import section
 
 MODELS = "diagnose/models_in_reach.csv"
 MODELS_SHOWN = 12  # causes and models in the tables, the most probable first
@@ -19,7 +19,8 @@ INTRODUCTION = (
 )
 
 
-def _model_choice(material: Material) -> list[Block]:
+@section(77, "Which causes: all models in reach", MODELS, lambda outcome: len(outcome.tables[MODELS]) > 0)
+def model_choice_section(material: Material) -> list[Block]:
     """Tabulate the probability of each cause, and the most probable models."""
     models = material.models_in_reach
     causes = material.cause_probabilities
@@ -40,8 +41,3 @@ def _row(row: ModelRow) -> tuple[str, str, str]:
     ]
     words = {"found": " (as found)"}.get(row.change, "")
     return ", ".join(named or ["no cause"]) + words, number(row.log_evidence, ".1f"), f"{row.probability:.3f}"
-
-
-MODEL_CHOICE_SECTION = Section(
-    77, "Which causes: all models in reach", MODELS, _model_choice, lambda outcome: len(outcome.tables[MODELS]) > 0
-)

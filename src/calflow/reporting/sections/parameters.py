@@ -17,7 +17,7 @@ from calflow.files.words import cut, effect_words, interval, listed, readable, w
 from calflow.reporting.advice import BY_PRIOR, allowed_range, of_kind
 from calflow.reporting.blocks import Block, Bullets, Heading, Paragraph, Plot, Table, headed
 from calflow.reporting.material import Material
-from calflow.reporting.section import Section
+from calflow.reporting.section import section
 from calflow.reporting.sections.verdict import statement_words
 from calflow.reporting.style import ACCENT, DARK, LIGHT, chart, turned
 from calflow.robot.frames import CONVENTIONS
@@ -117,7 +117,8 @@ def _title(effect: str, number: int) -> str:
     return fill(effect, max(int(number / CHARACTER), *map(len, words)), break_on_hyphens=False)
 
 
-def _parameters(material: Material) -> list[Block]:
+@section(60, "Identified parameters", "identify/parameters.csv")
+def parameters_section(material: Material) -> list[Block]:
     """Tabulate and draw the parameters."""
     parameters = material.fitted_parameters
     added, robot = len(parameters) > len(material.identified_parameters), material.calibrated.model.robot
@@ -218,10 +219,8 @@ def _known_together(outcome: RunOutcome) -> set[str]:
     return {name for group in groups if len(group) <= MOST_MARKED for name in group}
 
 
-PARAMETERS_SECTION = Section(60, "Identified parameters", "identify/parameters.csv", _parameters)
-
-
-def _identifiability(material: Material) -> list[Block]:
+@section(65, "What the data determine, and what not", "identify/identifiability.csv")
+def identifiability_section(material: Material) -> list[Block]:
     """State which parameters and combinations the data determine, and which they do not."""
     summary = material.summary
     ranks = [f"{effect_words(effect)}: {rank}" for effect, rank in summary.rank_by_effect.items()]
@@ -273,8 +272,3 @@ def _count(outcome: RunOutcome) -> list[Block]:
         lead = f"{effect_words(effect)}, {len(kept)} of {len(kept) + len(out)} parameters."
         items.append((lead, f"Kept: {listed(kept, 40)}. Left out: {listed(out, 40)}."))
     return headed("A model with fewer parameters", Paragraph(COUNTED, keep=True), Bullets(items), where=items)
-
-
-IDENTIFIABILITY_SECTION = Section(
-    65, "What the data determine, and what not", "identify/identifiability.csv", _identifiability
-)

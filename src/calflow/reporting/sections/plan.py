@@ -37,7 +37,7 @@ from calflow.reporting.blocks import (
     in_a_line,
 )
 from calflow.reporting.material import Material
-from calflow.reporting.section import Section
+from calflow.reporting.section import section
 from calflow.reporting.style import ACCENT, ALONE, DARK, MIDDLE, MOST_VECTOR_POINTS, chart, figure, same_scale, view
 from calflow.robot.mechanism import reading_columns, reading_labels
 from calflow.robot.robot import Robot
@@ -75,6 +75,11 @@ VIAS = (
     "Each joint approaches its pose directly from a via point (columns via1 …), from either side about equally often, so that "
     "backlash and friction are not mistaken for effects of the joint's position."
 )
+
+
+def _to_measure(outcome: RunOutcome) -> bool:
+    """Whether the poses are still to be measured; a calibration has another first page."""
+    return "identify/summary.json" not in outcome.results
 
 
 def over_number(curves: pd.DataFrame, label: str) -> tuple[Figure, Axes]:
@@ -125,7 +130,8 @@ def map_of_poses(position: np.ndarray) -> Figure:
     return drawn
 
 
-def _plan(material: Material) -> list[Block]:
+@section(1, "Plan", WORTH_TABLE, _to_measure)
+def plan_section(material: Material) -> list[Block]:
     """Return the plan's first page."""
     how_many = material.results.document("select/how_many.json", HowMany)
     worth = material.results.rows(WORTH_TABLE, Worth)
@@ -219,15 +225,8 @@ def _next_things(how_many: HowMany, worth: list[Worth]) -> list[Item]:
     ]
 
 
-def _to_measure(outcome: RunOutcome) -> bool:
-    """Whether the poses are still to be measured; a calibration has another first page."""
-    return "identify/summary.json" not in outcome.results
-
-
-PLAN_SECTION = Section(1, "Plan", WORTH_TABLE, _plan, _to_measure)
-
-
-def _planned_poses(material: Material) -> list[Block]:
+@section(70, "Planned poses", "select/certificate.json", _to_measure)
+def poses_section(material: Material) -> list[Block]:
     """State the poses' expected uncertainty, draw them, and tabulate the first."""
     poses, worth = material.tables["select/poses.csv"], material.tables["select/observability.csv"]
     expected, worst = (float(worth[name].iloc[-1]) for name in ("expected_sd_mm", "worst_sd_mm"))
@@ -273,10 +272,8 @@ def _first_poses(poses: pd.DataFrame, robot: Robot) -> list[Block]:
     ]
 
 
-POSES_SECTION = Section(70, "Planned poses", "select/certificate.json", _planned_poses, _to_measure)
-
-
-def _additions(material: Material) -> list[Block]:
+@section(72, "What one addition is worth", WORTH_TABLE)
+def worth_section(material: Material) -> list[Block]:
     """Tabulate the additions in descending order of gain."""
     rows = material.results.rows(WORTH_TABLE, Worth)
     cells = [
@@ -289,10 +286,13 @@ def _additions(material: Material) -> list[Block]:
     return [Paragraph(ADDITIONS, keep=True), Table(head, cells, "lrrrrl", wide=5, size=8.4)]
 
 
-WORTH_SECTION = Section(72, "What one addition is worth", WORTH_TABLE, _additions)
-
-
-def _measuring_order(material: Material) -> list[Block]:
+@section(
+    73,
+    "The order of the poses",
+    ORDER_TABLE,
+    lambda outcome: _to_measure(outcome) and len(outcome.tables[ORDER_TABLE]) > 0,
+)
+def order_section(material: Material) -> list[Block]:
     """Tabulate the bias by each drift in each order."""
     rows = material.results.rows(ORDER_TABLE, DriftPull)
     poses = material.tables["select/poses.csv"]
@@ -304,9 +304,3 @@ def _measuring_order(material: Material) -> list[Block]:
     head = ["order", "travel (relative)", "drift", "bias of the tool [mm]", "most biased parameter"]
     via = [Paragraph(VIAS)] if any(str(name).startswith("via") for name in poses) else []
     return [Paragraph(DRIFTS, keep=True), Table(head, cells, "lrlrl", wide=4), *via]
-
-
-ORDER_SECTION = Section(
-    73, "The order of the poses", ORDER_TABLE, _measuring_order,
-    lambda outcome: _to_measure(outcome) and len(outcome.tables[ORDER_TABLE]) > 0,
-)  # fmt: skip

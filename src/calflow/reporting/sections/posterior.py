@@ -18,7 +18,7 @@ from calflow.files.words import cut, listed, readable, rounded, with_sd
 from calflow.reporting.advice import ENSEMBLES_AGREE, lengthen
 from calflow.reporting.blocks import Block, Heading, Paragraph, Plot, Table, listing
 from calflow.reporting.material import Material
-from calflow.reporting.section import Section
+from calflow.reporting.section import section
 from calflow.reporting.style import ACCENT, ALONE, DARK, LIGHT, WIDTH, figure, panels
 from calflow.robot.parts import Parameter
 from calflow.sampling.chain import Chain
@@ -132,7 +132,8 @@ def walkers_shown(path: Path, material: Material) -> tuple[np.ndarray, np.ndarra
     return values, steps
 
 
-def _posterior(material: Material) -> list[Block]:
+@section(75, "How sure: the sampled posterior", SAMPLED)
+def posterior_section(material: Material) -> list[Block]:
     """Tabulate the checks, and draw traces and correlated pairs."""
     rows, summary = material.results.rows(SAMPLED, PosteriorRow), material.chain_summary
     model, held = material.sampled
@@ -244,6 +245,3 @@ def _row(row: PosteriorRow) -> tuple[str, ...]:
         with_sd(factor * value, factor * row.sd)[0] for value in (row.mean, row.q025, row.q500, row.q975)
     )
     return row.parameter, unit, mean, with_sd(0.0, factor * row.sd)[1], *quantiles
-
-
-POSTERIOR_SECTION = Section(75, "How sure: the sampled posterior", SAMPLED, _posterior)

@@ -20,7 +20,7 @@ from calflow.files.words import mm, ratio
 from calflow.reporting.advice import flags
 from calflow.reporting.blocks import Block, Heading, Paragraph, Plot, PosedRobot, Scene, Table
 from calflow.reporting.material import Material
-from calflow.reporting.section import Section
+from calflow.reporting.section import section
 from calflow.reporting.sections.validity import from_the_side
 from calflow.reporting.style import (
     DARK,
@@ -143,7 +143,8 @@ def running_mean(axes: Axes, x: np.ndarray, y: np.ndarray) -> None:
         axes.plot(centre, mean, color="black", marker="s", markersize=1.8, linewidth=0.9, label="mean")
 
 
-def _residuals(material: Material) -> list[Block]:
+@section(50, "What is left: residuals", "identify/residuals.csv")
+def residuals_section(material: Material) -> list[Block]:
     """Draw the residuals against place, in space and against joints, and tabulate outlying rows."""
     shown = _shown(material)
     some = f" {len(shown)} of {len(material.data)} rows are shown." if len(shown) < len(material.data) else ""
@@ -269,6 +270,3 @@ def _flagged(material: Material) -> list[Block]:
     )
     header = ("line of the file", "pose", "repeat", "marker", "row", "error", "times the noise")
     return [Heading("Rows that do not fit"), Paragraph(f"{NO_FIT}{left}", keep=True), Table(header, cells, "rrrllrr")]
-
-
-RESIDUALS_SECTION = Section(50, "What is left: residuals", "identify/residuals.csv", _residuals)

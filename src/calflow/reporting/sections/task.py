@@ -11,7 +11,7 @@ from calflow.files.words import mm
 from calflow.reporting.advice import strange
 from calflow.reporting.blocks import Block, Paragraph, Plot, Table, listing
 from calflow.reporting.material import Material
-from calflow.reporting.section import Section
+from calflow.reporting.section import section
 from calflow.reporting.style import ALONE, panels, shade, shades, view
 from calflow.sampling.task_points import LIKELY, TaskPoint, TaskSummary
 
@@ -123,7 +123,8 @@ def _unit(field: str) -> str:
     return field.rpartition("_")[2]
 
 
-def _task(material: Material) -> list[Block]:
+@section(8, "How accurate the task is done", "sample/task.csv")
+def task_section(material: Material) -> list[Block]:
     """State whether the tolerances are met, and tabulate and draw the errors over the task."""
     if (task := material.task) is None:
         return []
@@ -168,6 +169,3 @@ def _worst(points: Sequence[TaskPoint], asked: bool) -> list[tuple[str, ...]]:
          _chance(row.within) if asked else "not asked")
         for row in rows[:WORST_POINTS]
     ]  # fmt: skip
-
-
-TASK_SECTION = Section(8, "How accurate the task is done", "sample/task.csv", _task)

@@ -24,7 +24,7 @@ from calflow.files.words import mm, percent, plural
 from calflow.measurements.measurements import Measurements
 from calflow.reporting.blocks import Block, Paragraph, Plot
 from calflow.reporting.material import Material
-from calflow.reporting.section import Section
+from calflow.reporting.section import section
 from calflow.reporting.style import crowded, panels, root_mean_square, shade, shades
 
 DRAWN_POSES = 600  # drawn within the joints' limits, or in a region
@@ -174,7 +174,8 @@ def promises(outcome: RunOutcome) -> bool:
     return outcome.summary.new_poses_mm is not None
 
 
-def _region(material: Material) -> list[Block]:
+@section(4, "Where the robot works", "identify/residuals.csv", promises)
+def region_section(material: Material) -> list[Block]:
     """State and draw the errors before and after calibration where the robot works."""
     shown = Promised.at_work(material.calibrated, material.data, material.settings.get("select", {}))
     off = f"The nominal robot is off by {rms_mm(shown.nominal)} mm there."
@@ -185,7 +186,8 @@ def _region(material: Material) -> list[Block]:
     ]
 
 
-def _validity(material: Material) -> list[Block]:
+@section(58, "Where the calibration holds", "identify/residuals.csv", promises)
+def validity_section(material: Material) -> list[Block]:
     """State and draw the expected errors within the joints' limits, and state those later on."""
     shown = Promised.of(material.calibrated, material.data)
     when = zip(material.certainty.expected_mm, ("then", "an hour later", "a day later"), strict=False)
@@ -196,7 +198,3 @@ def _validity(material: Material) -> list[Block]:
         *([Paragraph(f"At the measured poses: {moments}, in the instrument's frame.")] if moments else []),
         Plot("validity", over_the_workspace(material, shown), caption, as_rows(shown)),
     ]
-
-
-VALIDITY_SECTION = Section(58, "Where the calibration holds", "identify/residuals.csv", _validity, promises)
-REGION_SECTION = Section(4, "Where the robot works", "identify/residuals.csv", _region, promises)

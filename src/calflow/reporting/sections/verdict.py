@@ -37,7 +37,7 @@ from calflow.reporting.blocks import (
     in_a_line,
 )
 from calflow.reporting.material import Material
-from calflow.reporting.section import Section
+from calflow.reporting.section import section
 from calflow.reporting.sections.acceptance import (
     FAILED,
     NO_TOLERANCE,
@@ -80,7 +80,8 @@ WHAT_FOLLOWS = (
 FOR_EXPERTS = "For experts"
 
 
-def _first_page(material: Material) -> list[Block]:
+@section(0, "Verdict", "identify/certainty.json")
+def verdict_section(material: Material) -> list[Block]:
     """Return the verdict on one page; all errors on it are mean or largest ones of the judged poses."""
     diagnosed, unsettled = "diagnose/findings.csv" in material.results, mistake_unsettled(material)
     sure: list[Block] = [Heading("How sure is this?"), Bullets(how_sure(material), None)]
@@ -425,16 +426,11 @@ def tested_words(certainty: Certainty) -> str:
     return f"{within} of {tested} held-out errors ({percent(within / tested)}) are within their {percent(PROMISED)} limits.{few}"
 
 
-VERDICT_SECTION = Section(0, "Verdict", "identify/certainty.json", _first_page)
-
-
-def _for_experts(material: Material) -> list[Block]:
+@section(49, FOR_EXPERTS, "identify/accuracy.csv")
+def for_experts_section(material: Material) -> list[Block]:
     """Return the divider, and the settings of the study that page one's advice refers to."""
     steps = enumerate(next_steps(material), start=1)
     keys = [(f"step {number}", item.keys) for number, item in steps if item.keys]
     keys += [] if held_against_tolerance(material) else [("the tolerance", "tolerance_mm under [acceptance]")]
     table = Table(("page one", "in the study's files"), keys, "ll", wide=1)
     return [Divider(FOR_EXPERTS, WHAT_FOLLOWS), *headed("What page one advises, in the files", table, where=keys)]
-
-
-FOR_EXPERTS_SECTION = Section(49, FOR_EXPERTS, "identify/accuracy.csv", _for_experts)
