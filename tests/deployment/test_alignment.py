@@ -67,9 +67,11 @@ def test_what_a_fitted_frame_takes_away_is_not_promised():
     turned = np.cross(np.eye(3)[None], place[:, None]).transpose(0, 2, 1)  # of a base that is known to 2 mrad and 2 mm
     bent = 2e-4 * np.sin(2 * place)[:, :, None] * np.eye(3)
     shared = np.concatenate([2e-3 * turned, np.tile(2e-3 * np.eye(3), (30, 1, 1)), bent], axis=2)
-    table = pd.DataFrame({"pose": np.arange(30), "marker": "tool", "payload": "", "rows": 1})
+    points = np.arange(30)
+    table = pd.DataFrame({"pose": points, "marker": "tool", "payload": "", "rows": 1})
     apart, each = np.full(30, np.sqrt(3) * noise), np.full(30, noise)
-    seen = Attained(table, place, {CALIBRATED: place}, shared, apart, each, np.full(30, np.nan), None, np.array([True]))
+    once, fitted = np.full(30, np.nan), np.array([True])
+    seen = Attained(table, points, place, {CALIBRATED: place}, shared, apart, each, once, None, fitted)
     draws = [
         replace(seen, measured=place + shared @ rng.standard_normal(9) + noise * rng.standard_normal((30, 3)))
         for _ in range(200)

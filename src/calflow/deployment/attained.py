@@ -6,7 +6,7 @@ cube (clause 6), and the alignment of a device's frame with the calibration's by
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
@@ -165,10 +165,11 @@ def unit_of(data: Measurements) -> MeasurementUnit:
 class Attained:
     """Points, each measured once or several times under the same conditions (attained poses of ISO 9283).
 
-    table: labels and number of rows of each point; measured (n, 3) [m]: barycentres in the device's frame; expected:
-    the position (n, 3) [m] by each model; shared (n, 3, n_errors) [m]: loadings of the calibrated model's errors on
-    independent standard normals; apart (n,) [m]: standard deviation of the length of each point's independent error,
-    device noise included; noise (n,) [m]: device noise per axis; repeatability (n,) [m]: RP; turns: orientations.
+    table: labels and number of rows of each point; group (n_rows,): each row's point; measured (n, 3) [m]: barycentres in
+    the device's frame; expected: the position (n, 3) [m] by each model; shared (n, 3, n_errors) [m]: loadings of the
+    calibrated model's errors on independent standard normals; apart (n,) [m]: standard deviation of the length of each
+    point's independent error, device noise included; noise (n,) [m]: device noise per axis; repeatability (n,) [m]: RP;
+    turns: orientations.
 
     fitted (n_frames,): the sessions whose frame is fitted (see `standing`).
 
@@ -179,6 +180,7 @@ class Attained:
     """
 
     table: pd.DataFrame
+    group: np.ndarray
     measured: np.ndarray
     expected: Mapping[str, np.ndarray]
     shared: np.ndarray
@@ -209,26 +211,24 @@ class Attained:
         if not data.has_positions:
             return Attained.in_its_unit(calibrated, data)
         rows = calibrated.conditions_of(data)
-        table, group, mean = _points(data)
-        count = table["rows"].to_numpy()
+        table, group = _points(data)
         estimates = {NOMINAL: calibrated.model.nominal, CALIBRATED: calibrated.estimate}
         expected = {
-            NOMINAL: mean(calibrated.model.point(calibrated.model.nominal, rows)),
-            CALIBRATED: mean(calibrated.expected_point(rows)),
+            NOMINAL: averaged(calibrated.model.point(calibrated.model.nominal, rows), group),
+            CALIBRATED: averaged(calibrated.expected_point(rows), group),
         }
         if TARGET[0] in data.table:
-            expected[COMMANDED] = mean(data.table[[*TARGET]].to_numpy(dtype=float))
-        noise = np.sqrt(np.bincount(group, weights=np.nan_to_num(calibrated.device_sigma(data)) ** 2)) / count
-        every = calibrated.shared_errors(rows, places)
-        shared = mean(every.reshape(len(every), -1)).reshape(-1, *every.shape[1:])
-        left = mean(calibrated.position_variance(rows, places)).sum(axis=1) - (shared**2).sum(axis=(1, 2))
+            expected[COMMANDED] = averaged(data.table[[*TARGET]].to_numpy(dtype=float), group)
+        noise = np.sqrt(averaged(np.nan_to_num(calibrated.device_sigma(data)) ** 2, group) / table["rows"].to_numpy())
+        shared = averaged(calibrated.shared_errors(rows, places), group)
+        left = averaged(calibrated.position_variance(rows, places).sum(axis=1), group) - (shared**2).sum(axis=(1, 2))
         if figures is not None:
             model = replace(figures.model.later(data), given=calibrated.model.given)
-            expected[FIGURES] = mean(model.point(figures.estimate, rows))
+            expected[FIGURES] = averaged(model.point(figures.estimate, rows), group)
             shared = np.concatenate([shared, (expected[FIGURES] - expected[CALIBRATED])[:, :, None]], axis=2)
         row_numbers = members(group)
         return Attained(
-            table, mean(data.position), expected, shared, np.sqrt(np.maximum(left, 0.0) + 3 * noise**2), noise,
+            table, group, averaged(data.position, group), expected, shared, np.sqrt(np.maximum(left, 0.0) + 3 * noise**2), noise,
             np.array([pose_repeatability(data.position[k]) for k in row_numbers]),
             AttainedTurns.of(calibrated, estimates, data, rows, row_numbers), NOT_FITTED, by_session=calibrated.model.by_session,
         ).standing(station)  # fmt: skip
@@ -248,14 +248,13 @@ class Attained:
                 "expected more rows of each object than it takes to place it: none of these shows an error", key="data"
             )
         off = {NOMINAL: np.nan_to_num(nominal[rows]), CALIBRATED: np.nan_to_num(found.error[rows])}
-        table, group, mean = _points(data.only(rows))
-        count = table["rows"].to_numpy()
-        of_device = np.sqrt(np.bincount(group, weights=calibrated.device_sigma(data)[rows] ** 2)) / count
-        variance = mean((there * found.variance).sum(axis=1)[rows, None])[:, 0]
-        expected = {name: mean(errors_of - off[CALIBRATED]) for name, errors_of in off.items()}
+        table, group = _points(data.only(rows))
+        of_device = averaged(calibrated.device_sigma(data)[rows] ** 2, group) / table["rows"].to_numpy()
+        variance = averaged((there * found.variance).sum(axis=1)[rows], group)
+        expected = {name: averaged(errors_of - off[CALIBRATED], group) for name, errors_of in off.items()}
         return Attained(
-            table, -mean(off[CALIBRATED]), expected, np.zeros((len(table), off[CALIBRATED].shape[1], 0)),
-            np.sqrt(variance + mean(values[rows, None])[:, 0] * of_device**2), of_device,
+            table, group, -averaged(off[CALIBRATED], group), expected, np.zeros((len(table), off[CALIBRATED].shape[1], 0)),
+            np.sqrt(variance + averaged(values[rows], group) * of_device), np.sqrt(of_device),
             np.full(len(table), np.nan), None, NOT_FITTED, unit, in_space=False,
             taken=found.taken, values=float(values.sum() / data.table["pose"].nunique()),
         ).standing("known")  # fmt: skip
@@ -310,14 +309,15 @@ class Attained:
         return replace(self, fitted=np.full(len(sessions), True))
 
     @property
-    def _refitted(self) -> list[np.ndarray]:
-        """The masks (n,) of the points of sessions whose frame is fitted."""
-        return [rows for rows, fitted in zip(self.of_sessions, self.fitted, strict=True) if fitted]
+    def refitted(self) -> list[tuple[np.ndarray, Alignment]]:
+        """The mask (n,) of the points of each session whose frame is fitted, and their motion onto the calibrated robot's."""
+        sessions = zip(self.of_sessions, self.motions, self.fitted, strict=True)
+        return [(rows, motion) for rows, motion, fitted in sessions if fitted and motion]
 
     def errors(self, model: str) -> np.ndarray:
         """Return measured minus expected points (n, 3) [m]; what a fitted frame leaves is enlarged by `restored`."""
         errors = np.array(self.measured - self.expected[model])
-        for rows in self._refitted:
+        for rows, _ in self.refitted:
             measured, expected = self.measured[rows], self.expected[model][rows]
             errors[rows] = restored(Alignment.best(measured, expected).of(measured) - expected, measured)
         return errors
@@ -329,7 +329,7 @@ class Attained:
         In sessions whose frame is fitted the rigid part of the shared errors is removed, and the rest is enlarged as in `errors`.
         """
         shared = self.shared.copy()
-        for rows in self._refitted:
+        for rows, _ in self.refitted:
             points = self.measured[rows]
             shared[rows] = restored(beside_motion(shared[rows], points), points)
         return np.asarray(np.sqrt((shared**2).sum(axis=(1, 2)) + self.apart**2))
@@ -337,7 +337,7 @@ class Attained:
     def errors_of_further(self, model: str) -> np.ndarray:
         """Return the errors (n, 3) [m] to expect at further poses; nan where no frame can be fitted without a pose."""
         errors = np.array(self.measured - self.expected[model])
-        for rows in self._refitted:
+        for rows, _ in self.refitted:
             errors[rows] = errors_left_out(self.measured[rows], self.expected[model][rows], self.pose[rows])
         return errors
 
@@ -345,17 +345,9 @@ class Attained:
     def turned(self) -> np.ndarray:
         """The rotation (n, 3, 3) of each point by its session's frame, the identity where that is not fitted."""
         turned = np.tile(np.eye(3), (len(self.table), 1, 1))
-        for motion, rows, fitted in zip(self.motions, self.of_sessions, self.fitted, strict=True):
-            if motion and fitted:
-                turned[rows] = motion.turn
+        for rows, motion in self.refitted:
+            turned[rows] = motion.turn
         return turned
-
-    def is_refitted(self, data: Measurements) -> np.ndarray:
-        """Return whether the frame of each row's session is fitted, (n_rows,)."""
-        if "session" not in data.table:
-            return np.full(len(data), self.fitted[0])
-        by_session = dict(zip(self.sessions, self.fitted, strict=True))
-        return np.asarray(data.table["session"].astype(str).map(by_session), dtype=bool)
 
     @property
     def refitted_words(self) -> str:
@@ -381,17 +373,19 @@ class Attained:
         return np.asarray(pd.Series(values).groupby(self.pose).agg(how))
 
 
-def _points(data: Measurements) -> tuple[pd.DataFrame, np.ndarray, Callable[[np.ndarray], np.ndarray]]:
-    """Return the points with labels and row counts, each row's point index, and the function averaging over points."""
+def _points(data: Measurements) -> tuple[pd.DataFrame, np.ndarray]:
+    """Return the points with labels and row counts, and each row's point index."""
     group = np.unique(conditions(data), return_inverse=True)[1]
-    count, first = np.bincount(group), np.unique(group, return_index=True)[1]
+    first = np.unique(group, return_index=True)[1]
     labels = [name for name in ("pose", "marker", "payload", "session") if name in data.table]
-    table = data.table.iloc[first][labels].reset_index(drop=True).assign(rows=count)
+    return data.table.iloc[first][labels].reset_index(drop=True).assign(rows=np.bincount(group)), group
 
-    def mean(values: np.ndarray) -> np.ndarray:
-        return np.stack([np.bincount(group, weights=column) / count for column in values.T], axis=1)
 
-    return table, group, mean
+def averaged(values: np.ndarray, group: np.ndarray) -> np.ndarray:
+    """Return the means (n, …) of values (n_rows, …) over each group of rows, numbered from 0 by group (n_rows,)."""
+    columns = values.reshape(len(values), -1).T
+    sums = np.stack([np.bincount(group, weights=column) for column in columns], axis=1)
+    return np.asarray((sums / np.bincount(group)[:, None]).reshape(-1, *values.shape[1:]))
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ from calflow.deployment.movements import (
     Kind,
     Movement,
     SearchRound,
+    by_sessions,
     movements,
 )
 from calflow.deployment.validation import OF_THE_SAME
@@ -82,7 +83,8 @@ def mistaken_poses(check: CheckProblem, rounds: Sequence[SearchRound], station: 
 
 
 def _alone(check: CheckProblem, k: int) -> str:
-    labels, session = check.table.iloc[k], check.names[check.session[k]]
+    labels = check.attained.table.iloc[k]
+    session = labels.get("session", "")
     named = f"pose {labels['pose']}, marker {labels['marker']}{f', session {session}' if session else ''}"
     return (
         f"{named} alone carries the error, off by {rounded(1e3 * check.size()[k])} mm: was it another pose, another marker, or "
@@ -92,13 +94,12 @@ def _alone(check: CheckProblem, k: int) -> str:
 
 def _rest(check: CheckProblem, k: int, station: Station) -> CheckProblem | None:
     """Return the check without a point; None where too few are left."""
-    left = check.data.only(check.share[k] == 0)
-    same = check.session == check.session[k]
+    same = check.attained.frame == check.attained.frame[k]
     same[k] = False
     anew = placed_anew(station, check.calibrated.model.by_session)
     if not same.any() or (anew and not can_align(check.points[same])):
         return None
-    return CheckProblem.of(check.calibrated, left, Attained.of(check.calibrated, left, station).is_refitted(left))
+    return CheckProblem.of(check.calibrated, check.data.only(check.attained.group != k), station)
 
 
 def settling(
@@ -144,8 +145,7 @@ def _left_open(
     These are the calibration's uncertain errors, each of standard deviation 1, and a fitted device frame.
     """
     calibrated = replace(check.calibrated, alternatives=())
-    before = calibrated.shared_errors(calibrated.conditions_of(check.data))
-    together = np.einsum("nm,mai->nai", check.share, before)
+    together = check.averaged(calibrated.shared_errors(calibrated.conditions_of(check.data)))
     seen = together.reshape(len(check.error), -1) / np.sqrt(np.repeat(check.own, 3))[:, None]
     new = bare.shared_errors(conditions) / sigma
     if fitted:  # the further poses are measured in a frame of their own
@@ -332,10 +332,10 @@ def drift(
     check_positions(data)
     check_payload_stated(calibrated.model, calibrated.payloads, data.payload_stated)
     given = data.stating([*AT_REST, *calibrated.inputs]).given
-    calibrated = calibrated.later(given, data)
-    attained = Attained.of(calibrated, data, station)
+    calibrated, data = replace(calibrated.later(given, data), field=None), by_sessions(data)
+    check = CheckProblem.of(calibrated, data, station)
+    attained = check.attained
     fitted = bool(attained.fitted.all())  # where some frames are known, they tell of the robot's foot
-    check = CheckProblem.of(calibrated, data, attained.is_refitted(data))
     every = movements(calibrated, data, not fitted)
     rng = np.random.default_rng(seed)
     steps = check.searched(every, MOVEMENTS_SHARE * false_alarm, rng)
@@ -354,8 +354,9 @@ def drift(
     )
     summary = DriftSummary(
         status=status, false_alarm=false_alarm, family_p=steps[0].family_p, unexplained_p=rest, poses=len(check.points),
-        sessions=check.sessions, station="fitted" if check.refitted.any() else "known", error_mm=1e3 * float(check.size().mean()),
-        left_mm=1e3 * float(left.mean()), expected_mm=1e3 * float(np.sqrt(np.trace(_still(check)) / len(check.points))),
+        sessions=len(attained.sessions), station="fitted" if attained.fitted.any() else "known",
+        error_mm=1e3 * float(check.size().mean()), left_mm=1e3 * float(left.mean()),
+        expected_mm=1e3 * float(np.sqrt(np.trace(_still(check)) / len(check.points))),
         unseen_mm=1e3 * unseen, usual_mm=1e3 * usual, chance=chance,
         notes=(*data.notes, *_notes(calibrated, data, attained), *([doubt] if doubt else [])),
     )  # fmt: skip
@@ -404,8 +405,7 @@ def _usual_error(check: CheckProblem, fitted: bool) -> float:
     """Return the root mean square error of the points [m] of an uncalibrated robot of the kind, by the priors."""
     model, rows = check.calibrated.model, check.calibrated.conditions_of(check.data)
     joint = np.array([bool(parameter.joint) for parameter in model.parameters])
-    slope = np.einsum("nm,mai->nai", check.share, model.point_jacobian(check.calibrated.estimate, rows))
-    moves = slope * (model.prior_sd * joint)
+    moves = check.averaged(model.point_jacobian(check.calibrated.estimate, rows)) * (model.prior_sd * joint)
     return float(np.linalg.norm(beside_motion(moves, check.points) if fitted else moves) / np.sqrt(len(check.points)))
 
 
@@ -413,24 +413,23 @@ def _left(check: CheckProblem, best: tuple[Explained, ...]) -> np.ndarray:
     """Return the length of each point's error beside the movements found (n / 3,) [m], frames that are fitted being fitted anew."""
     moved = (check.columns(explained.movement, explained.since) @ explained.size for explained in best)
     error = (check.error - sum(moved)).reshape(-1, 3)
-    for k in np.unique(check.session[check.refitted]):
-        there = check.session == k
+    for there, _ in check.attained.refitted:
         error[there] = beside_motion(error[there], check.points[there])
     return np.linalg.norm(error, axis=1)
 
 
 def _still(check: CheckProblem) -> np.ndarray:
     """Return the covariance of the error where nothing moved; in fitted frames only the points' independent part."""
-    apart = np.repeat(check.refitted, 3)
+    apart = np.repeat(check.attained.fitted[check.attained.frame], 3)
     return np.where(apart | apart[:, None], np.diag(np.repeat(check.own, 3)), check.covariance)
 
 
 def _moved(step: SearchRound, check: CheckProblem) -> Moved:
-    best, since = step.best, step.best.since
+    best, since, names = step.best, step.best.since, check.attained.sessions
     return Moved(
         **MovementRow.named(best.movement), probability=step.names[best.movement.name], p=step.family_p,
         cannot_tell_from=tuple(rival.movement.name for rival in rivals(step)),
-        since=check.names[since] if since else "", before=check.names[since - 1] if since else "",
+        since=names[since] if since else "", before=names[since - 1] if since else "",
     )  # fmt: skip
 
 
@@ -459,12 +458,11 @@ def _tested(step: SearchRound) -> tuple[TestedMovement, ...]:
 
 def _poses(check: CheckProblem, left: np.ndarray) -> tuple[CheckedPose, ...]:
     expected = np.sqrt(np.diag(_still(check)).reshape(-1, 3).sum(axis=1))
-    sessions = [check.names[k] for k in check.session]
-    rows = zip(check.table.to_dict("records"), sessions, check.size(), expected, left, strict=True)
+    rows = zip(check.attained.table.to_dict("records"), check.size(), expected, left, strict=True)
     return tuple(
-        CheckedPose(pose=str(labels["pose"]), marker=str(labels["marker"]), session=session, error_mm=1e3 * float(error),
-                    expected_mm=1e3 * float(sd), left_mm=1e3 * float(rest))
-        for labels, session, error, sd, rest in rows
+        CheckedPose(pose=str(labels["pose"]), marker=str(labels["marker"]), session=str(labels.get("session", "")),
+                    error_mm=1e3 * float(error), expected_mm=1e3 * float(sd), left_mm=1e3 * float(rest))
+        for labels, error, sd, rest in rows
     )  # fmt: skip
 
 

@@ -16,16 +16,13 @@ import casadi as ca
 import numpy as np
 import scipy
 
-from calflow.deployment.attained import Alignment, can_align, rigid_slope
+from calflow.deployment.attained import CALIBRATED, Attained, Station, averaged, rigid_slope
 from calflow.effects.base import unmet
 from calflow.effects.geometry import Geometry
 from calflow.effects.misstated_payload import PayloadMass
 from calflow.effects.thermal_growth import ThermalGrowth
 from calflow.effects.warming import REFERENCE
 from calflow.estimation.calibrated_model import CalibratedModel
-from calflow.estimation.noise import conditions
-from calflow.files.deferred import pd
-from calflow.files.problems import refuse
 from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements
 from calflow.model import consecutive
@@ -192,26 +189,20 @@ def _same(first: Movement, other: Movement) -> bool:
 class CheckProblem:
     """Check poses of a calibrated robot as a linear problem in n coordinates.
 
-    error (n,) [m], its covariance (n, n) [m²]; points (n / 3, 3) [m], session (n / 3,) of each, table: their labels, names:
-    sessions in order; share (n / 3, m): weights by which m rows are averaged to points; own (n / 3,) [m²]: variance per
-    axis of a point that is independent of other points; refitted (n / 3,): whether the frame of its session was fitted.
+    attained: its n / 3 points; error (n,) [m], its covariance (n, n) [m²]; own (n / 3,) [m²]: variance per axis of a point
+    that is independent of other points.
     """
 
     calibrated: CalibratedModel
     data: Measurements
+    attained: Attained
     error: np.ndarray
     covariance: np.ndarray
-    session: np.ndarray
-    points: np.ndarray
-    table: pd.DataFrame
-    names: tuple[str, ...]
-    share: np.ndarray
     own: np.ndarray
-    refitted: np.ndarray
 
     @staticmethod
-    def of(calibrated: CalibratedModel, data: Measurements, fitted: np.ndarray) -> CheckProblem:
-        """Return the problem of measured rows; fitted (n_rows,): whether the frame of a row's session is fitted.
+    def of(calibrated: CalibratedModel, data: Measurements, station: Station) -> CheckProblem:
+        """Return the problem of measured rows, whose sessions are in order of time; station: as of `validate`.
 
         Repeats within a session are averaged. The covariance includes parameters, model choice and smooth errors,
         independent errors of poses, the device's noise, and the effects of conditions that the rows lack.
@@ -219,38 +210,22 @@ class CheckProblem:
         Raises:
             InputError: a frame cannot be fitted.
         """
-        model, rows = calibrated.model, calibrated.conditions_of(data)
-        date, names = _sessions(data.table)
-        group = np.unique(date * len(data) + conditions(data), return_inverse=True)[1]
-        first = np.unique(group, return_index=True)[1]
-        share = (group == np.arange(len(first))[:, None]) / np.bincount(group)[:, None]
-        table = data.table.iloc[first].reset_index(drop=True)
-        session = date[first]
-        points, seen = share @ model.point(calibrated.estimate, rows), share @ data.position
-        together = np.einsum("nm,mai->nai", share, calibrated.shared_errors(rows)).reshape(3 * len(first), -1)
-        variance = (share**2) @ calibrated.device_sigma(data) ** 2 + calibrated.errors.rest[METRE] ** 2
-        variance += sum((need.spread_mm / 1e3) ** 2 for need in calibrated.needed if need.condition not in data.given)
-        covariance = together @ together.T + np.diag(np.repeat(variance, 3))
-        refitted = share @ fitted > 0
-        for k in np.unique(session[refitted]):
-            there = session == k
-            if not can_align(seen[there]):
-                raise refuse(
-                    "the device's frame cannot be fitted to so few check poses, or they lie on one line: expected at "
-                    "least 4 a session, or say that the station stands where it stood (--station known)"
-                )
-            seen[there] = Alignment.best(seen[there], points[there]).of(seen[there])
-            frame = rigid_slope(points).reshape(len(covariance), 6) * np.repeat(there, 3)[:, None] * ANYWHERE
+        attained = Attained.of(calibrated, data, station)
+        points, seen = attained.expected[CALIBRATED], attained.measured.copy()
+        shared = attained.shared.reshape(seen.size, -1)
+        own = attained.noise**2 + calibrated.errors.rest[METRE] ** 2
+        own += sum((need.spread_mm / 1e3) ** 2 for need in calibrated.needed if need.condition not in data.given)
+        covariance = shared @ shared.T + np.diag(np.repeat(own, 3))
+        for there, motion in attained.refitted:
+            seen[there] = motion.of(seen[there])
+            frame = rigid_slope(points).reshape(seen.size, 6) * np.repeat(there, 3)[:, None] * ANYWHERE
             covariance += frame @ frame.T
-        error = (seen - points).ravel()
-        return CheckProblem(
-            calibrated, data, error, covariance, session, points, table, names, share, variance, refitted
-        )
+        return CheckProblem(calibrated, data, attained, (seen - points).ravel(), covariance, own)
 
     @property
-    def sessions(self) -> int:
-        """Number of sessions."""
-        return len(self.names)
+    def points(self) -> np.ndarray:
+        """Positions of the points by the calibrated robot, shape (n / 3, 3) [m]."""
+        return self.attained.expected[CALIBRATED]
 
     def beside(self, rounds: Sequence[SearchRound]) -> CheckProblem:
         """Return the check with the movements found, of unconstrained size, marginalised through its covariance."""
@@ -262,8 +237,12 @@ class CheckProblem:
 
     def columns(self, movement: Movement, since: int) -> np.ndarray:
         """Return the Jacobian of a movement since a session (counted from 0), shape (n, k) [m per unit]."""
-        slope = np.einsum("nm,mak->nak", self.share, movement.slope) * (self.session >= since)[:, None, None]
+        slope = self.averaged(movement.slope) * (self.attained.frame >= since)[:, None, None]
         return np.asarray(slope.reshape(len(self.error), -1))
+
+    def averaged(self, values: np.ndarray) -> np.ndarray:
+        """Return the means (n / 3, …) of values (n_rows, …) over the rows of each point."""
+        return averaged(values, self.attained.group)
 
     @property
     def square(self) -> float:
@@ -297,7 +276,7 @@ class CheckProblem:
         whitened, n = factor @ self.error, len(self.error)
         tested, bases = [], []
         for movement in every:
-            for since in range(self.sessions):
+            for since in range(len(self.attained.sessions)):
                 slope = factor @ self.columns(movement, since)
                 basis = _basis(slope)
                 if 0 < basis.shape[1] < n - 1:
@@ -337,18 +316,20 @@ class CheckProblem:
         return float(scipy.stats.chi2.sf(self.beside(rounds).square, max(1, len(self.error) - taken)))
 
 
-def _sessions(table: pd.DataFrame) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Return each row's session index in order of time, or of rows, and their names; hour-long gaps separate them."""
+def by_sessions(data: Measurements) -> Measurements:
+    """Return rows by session in order of time, or of rows; where none is named, hour-long gaps separate them."""
+    table = data.table.sort_values("time", kind="stable") if "time" in data.table else data.table
     if "session" in table:
-        order = table.sort_values("time", kind="stable") if "time" in table else table
-        names = tuple(dict.fromkeys(order["session"].astype(str)))
-        return table["session"].astype(str).map({name: k for k, name in enumerate(names)}).to_numpy(), names
-    if "time" not in table:
-        return np.zeros(len(table), dtype=int), ("",)
-    time = np.sort(table["time"].to_numpy(dtype=float))
-    starts = time[np.concatenate([[True], np.diff(time) > GAP])]
-    number = np.searchsorted(starts, table["time"].to_numpy(dtype=float), side="right") - 1
-    return number, tuple(f"{start / 3600:.1f} h" for start in starts) if len(starts) > 1 else ("",)
+        order = table.groupby(table["session"].astype(str), sort=False).ngroup()
+    elif "time" in table:
+        order = (table["time"].diff() > GAP).cumsum()
+        if order.any():
+            begun = table.groupby(order)["time"].transform("first")
+            table = table.assign(session=[f"{time / 3600:.1f} h" for time in begun])
+    else:
+        return data
+    rows = order.loc[data.table.index].sort_values(kind="stable").index
+    return replace(data, table=table.loc[rows].reset_index(drop=True))
 
 
 @dataclass(frozen=True)
