@@ -9,8 +9,9 @@ import platform
 import posixpath
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, reduce
 from importlib import metadata
+from operator import or_
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Literal
 
@@ -353,26 +354,6 @@ def _places(name: str, kept: KeptFile, manifest: Manifest, run_folder: Path, pla
     return [*packed, run_folder / beside(Path(manifest.folder), was), was]
 
 
-def _without_diagnosis(manifest: Manifest, folder: Path, robot: Robot) -> str | None:
-    """Return why diagnose's results do not match identify's, empty if it was never run; None if they match.
-
-    Raises:
-        InputError: its files were changed, so that the model would differ from the run's.
-    """
-    entry = manifest.stages.get("diagnose")
-    if entry is None:
-        return ""
-    reason = _unfit(manifest, folder, robot, "diagnose", ("identify",))
-    if reason and entry.status == "done" and reason == damage(entry, folder):
-        raise refuse(f"holds no diagnosed robot any more: {reason}; run the study again", folder)
-    return reason
-
-
-def _unfit(manifest: Manifest, folder: Path, robot: Robot, stage: str, bases: tuple[str, ...]) -> str | None:
-    """Return why a stage's results are not made from its bases' results, or not valid for a robot; None if they are."""
-    return outdated(manifest, folder, stage, robot) or of_others(manifest, stage, bases)
-
-
 @dataclass(frozen=True)
 class CalibratedFolder:
     """The parts of a run folder that make up a calibration: robot, study file, and results of the stages that made it.
@@ -402,20 +383,20 @@ def read_calibrated(study_or_run: str | Path) -> CalibratedFolder:
     reason = outdated(manifest, folder, "identify", robot)
     if reason:
         raise refuse(f"holds no identified robot: {reason}; run the study again", folder)
-    results = read_results(manifest, folder, "identify")
-    undiagnosed = _without_diagnosis(manifest, folder, robot)
-    if undiagnosed is None:
-        results |= read_results(manifest, folder, "diagnose")
-    asked = file.residual_field or FIELD in read_toml(folder / INPUTS / "workflow.toml", WorkflowFile).stages
-    bases = ("identify", "diagnose") if undiagnosed is None else ("identify",)
-    lacking = _unfit(manifest, folder, robot, FIELD, bases) if asked else None
-    if asked and lacking is None:
-        results |= read_results(manifest, folder, FIELD)
-    without = (
-        *([f"what diagnose found: {undiagnosed}"] if undiagnosed else []),
-        *([f"the residual field that the study asks for: {lacking}"] if lacking else []),
-    )
-    return CalibratedFolder(folder, manifest, robot, file, results, without)
+    further = {"diagnose": "what diagnose found"} if "diagnose" in manifest.stages else {}
+    if file.residual_field or FIELD in read_toml(folder / INPUTS / "workflow.toml", WorkflowFile).stages:
+        further[FIELD] = "the residual field that the study asks for"
+    made, without = ["identify"], list[str]()
+    for stage, what in further.items():
+        reason = outdated(manifest, folder, stage, robot) or of_others(manifest, stage, made)
+        if reason is None:
+            made.append(stage)
+        elif stage == "diagnose" and reason == damage(manifest.stages[stage], folder):  # the model would be another
+            raise refuse(f"holds no diagnosed robot any more: {reason}; run the study again", folder)
+        else:
+            without.append(f"{what}: {reason}")
+    results = reduce(or_, (read_results(manifest, folder, stage) for stage in made))
+    return CalibratedFolder(folder, manifest, robot, file, results, tuple(without))
 
 
 @lru_cache
