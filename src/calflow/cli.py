@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 import click
 
-from calflow.commands import COMMANDS
-from calflow.commands.console import say
+from calflow.commands.console import cli, say
 from calflow.files.problems import InputError
 
 if TYPE_CHECKING:
@@ -21,16 +20,6 @@ TROUBLE = 1  # exit code of system errors
 THREADS = "OMP_NUM_THREADS"  # read by linear algebra libraries on import
 # Objects made between looks for garbage: by Python's own 700, looks at all that the libraries load took a twelfth of a study.
 COLLECTED = 10_000
-
-
-@click.group(context_settings={"help_option_names": ["-h", "--help"]})
-@click.version_option(package_name="calflow")
-def cli() -> None:
-    """Calibrate robots: from measured positions to a model that can be trusted."""
-
-
-for command in COMMANDS:
-    cli.add_command(command)
 
 
 def main() -> None:

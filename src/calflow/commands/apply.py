@@ -19,6 +19,7 @@ from calflow.commands.console import (
     ArgumentCommand,
     check_apart,
     check_unwritten,
+    cli,
     deliver,
     hand_over,
     say,
@@ -42,7 +43,7 @@ WITHOUT_CONDITIONS = click.option(
 NOTES_PRINTED = 20  # most notes of one kind that are printed
 
 
-@click.command("predict")
+@cli.command("predict")
 @click.argument("study_or_run", type=FILE)
 @click.argument("rows", metavar="ROWS.csv", type=FILE)
 @click.option("--out", type=FILE, help="CSV to write; printed by default.")
@@ -64,7 +65,7 @@ def predict_command(study_or_run: Path, rows: Path, out: Path | None, force: boo
     deliver(given.text(given.beside(predicted.table)), out, force)
 
 
-@click.command("compensate")
+@cli.command("compensate")
 @click.argument("study_or_run", type=FILE)
 @click.argument("targets", metavar="TARGETS.csv", type=FILE)
 @click.option("--out", type=FILE, help="CSV to write; printed by default.")
@@ -112,7 +113,7 @@ def _rms(values: pd.Series) -> float:
     return float((values**2).mean() ** 0.5)
 
 
-@click.command("export", cls=ArgumentCommand)
+@cli.command("export", cls=ArgumentCommand)
 @click.argument("study_or_run", type=FILE)
 @click.option(
     "--to",
@@ -138,7 +139,7 @@ def export_command(study_or_run: Path, to: Format, beside: tuple[Path, ...], out
     deliver(exported.text, out, force)
 
 
-@click.command("filter")
+@cli.command("filter")
 @click.argument("study_or_run", type=FILE)
 @click.argument("program", metavar="PROGRAM|FOLDER|BACKUP.zip", type=FILE)
 @click.option("--out", type=FILE, help="What to write; NAME.corrected.EXT beside the program by default.")

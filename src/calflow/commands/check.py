@@ -16,6 +16,7 @@ from calflow.commands.console import (
     OVER,
     STATION,
     ArgumentCommand,
+    cli,
     deliver,
     exit_code,
     say,
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     from calflow.measurements.measurements import Measurements
 
 
-@click.command("check")
+@cli.command("check")
 @click.argument("study", type=FILE)
 def check_command(study: Path) -> None:
     """Check a study with its robot, workflow and measurements, and run nothing."""
@@ -72,7 +73,7 @@ def _counted(path: Path, data: Measurements) -> str:
     return f"{path}: {plural(len(data), 'row')}, {plural(every, 'pose')}, {fitted} of them to fit"
 
 
-@click.command("check-poses", cls=ArgumentCommand)
+@cli.command("check-poses", cls=ArgumentCommand)
 @click.argument("study_or_run", type=FILE)
 @click.argument("data", metavar="MEASURED.csv", type=FILE)
 @click.option("--number", type=int, default=8, show_default=True, help="How many poses to choose.")
@@ -93,7 +94,7 @@ def check_poses_command(study_or_run: Path, data: Path, number: int, out: Path |
     deliver(csv_text(chosen.table, separator=source.separator, decimal=source.decimal), out, force)
 
 
-@click.command("validate", cls=ArgumentCommand)
+@cli.command("validate", cls=ArgumentCommand)
 @click.argument("study_or_run", type=FILE)
 @click.argument("data", metavar="NEW.csv", type=FILE)
 @click.option("--tolerance", type=NUMBER, help="As --tolerance-mm, in the unit of what was measured: px, mrad, N, …")
@@ -152,7 +153,7 @@ def validate_command(
     sys.exit(exit_code(validation.summary.status))
 
 
-@click.command("drift", cls=ArgumentCommand)
+@cli.command("drift", cls=ArgumentCommand)
 @click.argument("study_or_run", type=FILE)
 @click.argument("data", metavar="NEW.csv", type=FILE)
 @FALSE_ALARM

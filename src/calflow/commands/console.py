@@ -36,6 +36,12 @@ STATION = click.option(
 AGAIN = 0.1  # s after which a swallowed interruption is repeated
 
 
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="calflow")
+def cli() -> None:
+    """Calibrate robots: from measured positions to a model that can be trusted."""
+
+
 def say(*lines: object, err: bool = False) -> None:
     """Print lines, optionally on standard error, with control sequences from files or their names made harmless."""
     for line in lines:

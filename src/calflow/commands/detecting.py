@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from calflow.commands.console import FILE, say, say_notes
+from calflow.commands.console import FILE, cli, say, say_notes
 from calflow.files.deferred import pd
 from calflow.files.problems import Problem, escaped, refuse, refuse_any
 from calflow.files.words import plural
@@ -17,7 +17,7 @@ READING = re.compile(r"q\d+_\w+")  # the name of a column of joint readings
 MOST_SAID = 10  # most images left out that are named
 
 
-@click.command("detect")
+@cli.command("detect")
 @click.argument("images", metavar="IMAGE…", type=FILE, nargs=-1, required=True)
 @click.option("--target", type=FILE, required=True, help="The printed target: board.toml.")
 @click.option(

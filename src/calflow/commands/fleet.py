@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from calflow.commands.console import FILE, NOT_WELL, NUMBER, progress, resumable, say
+from calflow.commands.console import FILE, NOT_WELL, NUMBER, cli, progress, resumable, say
 
 if TYPE_CHECKING:
     from calflow.fleet.engine import FleetFolder
@@ -27,7 +27,7 @@ ALLOW = click.option(
 OUT = click.option("--out", type=FILE, help="The fleet's folder; runs/<fleet name> by default.")
 
 
-@click.group("fleet")
+@cli.group("fleet")
 def fleet_command() -> None:
     """Calibrate many robots of a few types, on one machine or a cluster."""
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 import calflow as cf
-from calflow.commands.console import FILE, NUMBER, say, say_notes, show_table
+from calflow.commands.console import FILE, NUMBER, cli, say, say_notes, show_table
 from calflow.files.problems import Problem, escaped, refuse, refuse_any
 from calflow.files.words import plural
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 MEASURED, STUDY, ROBOT = "measurements.csv", "study.toml", "robot.toml"
 
 
-@click.command("import")
+@cli.command("import")
 @click.argument("files", metavar="FILE…", type=FILE, nargs=-1, required=True)
 @click.option("--robot", type=FILE, help="Robot file; by default robot.toml in the study's folder.")
 @click.option("--into", type=FILE, default=Path("."), help="Folder of the study; the working folder by default.")

@@ -8,10 +8,10 @@ from pathlib import Path
 import click
 
 import calflow as cf
-from calflow.commands.console import FILE, FORCE, OUT, STAGE, progress, resumable, say, show_table
+from calflow.commands.console import FILE, FORCE, OUT, STAGE, cli, progress, resumable, say, show_table
 
 
-@click.command("run")
+@cli.command("run")
 @click.argument("study", type=FILE)
 @OUT
 @STAGE
@@ -31,7 +31,7 @@ def run_command(study: Path, out: Path | None, stage: str | None, force: bool) -
     )
 
 
-@click.command("plan")
+@cli.command("plan")
 @click.argument("study", type=FILE)
 @OUT
 @STAGE
@@ -51,7 +51,7 @@ def plan_command(study: Path, out: Path | None, stage: str | None, force: bool) 
         say(f"{step.stage.name:14} {'reuse' if step.reuse else 'run':6} {step.reason}{taken}")
 
 
-@click.command("status")
+@cli.command("status")
 @click.argument("study_or_run", type=FILE)
 def status_command(study_or_run: Path) -> None:
     """Show how far a run has come: give its folder, or its study."""
@@ -71,7 +71,7 @@ def status_command(study_or_run: Path) -> None:
         say(f"{name:14} {status:12} {seconds:>8}  ran because: {entry.reason}{reused}")
 
 
-@click.command("report")
+@cli.command("report")
 @click.argument("study_or_run", type=FILE)
 @OUT
 def report_command(study_or_run: Path, out: Path | None) -> None:
@@ -84,7 +84,7 @@ def report_command(study_or_run: Path, out: Path | None) -> None:
     say(f"report: {result.folder / 'report.pdf'}")
 
 
-@click.command("doctor")
+@cli.command("doctor")
 def doctor_command() -> None:
     """Tell what this machine has of what calflow needs, what makes it slow, and what to do.
 

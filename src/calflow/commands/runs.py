@@ -16,6 +16,7 @@ from calflow.commands.console import (
     NOT_WELL,
     OVER,
     ArgumentCommand,
+    cli,
     exit_code,
     progress,
     say,
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
 COLUMNS_TOLD = 12  # most columns that are reported individually
 
 
-@click.command("pack")
+@cli.command("pack")
 @click.argument("run", type=FILE)
 @click.option("--out", type=FILE, help="Archive to write; RUN.zip beside the run folder by default.")
 @click.option("--licence", default="", metavar="SPDX", help="Under which terms the files may be used, e.g. CC-BY-4.0.")
@@ -52,7 +53,7 @@ def pack_command(run: Path, out: Path | None, licence: str, author: tuple[str, .
         )
 
 
-@click.command("reproduce")
+@cli.command("reproduce")
 @click.argument("run", type=FILE)
 @click.option("--out", type=FILE, help="Empty folder to keep the study, its run and the differences in.")
 def reproduce_command(run: Path, out: Path | None) -> None:
@@ -124,7 +125,7 @@ def _line(deviation: Deviation) -> str:
     return f"{where}, {'most in ' if deviation.row else ''}{most}{unit}, {deviation.absolute:.2g} apart{more}"
 
 
-@click.command("compare")
+@cli.command("compare")
 @click.argument("runs", metavar="RUN RUN…", type=FILE, nargs=-1, required=True)
 @click.option("--out", type=FILE, help="Folder for tables and report; nothing is kept by default.")
 def compare_command(runs: tuple[Path, ...], out: Path | None) -> None:
@@ -141,7 +142,7 @@ def compare_command(runs: tuple[Path, ...], out: Path | None) -> None:
         say(f"report: {out / 'report.pdf'}")
 
 
-@click.command("history", cls=ArgumentCommand)
+@cli.command("history", cls=ArgumentCommand)
 @click.argument("runs", metavar="RUN RUN…", type=FILE, nargs=-1, required=True)
 @FALSE_ALARM
 @click.option("--out", type=FILE, help="Folder for tables and report; nothing is kept by default.")

@@ -16,6 +16,7 @@ from calflow.commands.console import (
     OVER,
     ArgumentCommand,
     check_unwritten,
+    cli,
     hand_over,
     say,
     show_table,
@@ -37,7 +38,7 @@ def _list(context: click.Context, _: click.Parameter, asked: bool) -> None:
     context.exit()
 
 
-@click.command("new")
+@cli.command("new")
 @click.argument("folder", type=FILE)
 @click.option(
     "--robot",
@@ -76,7 +77,7 @@ def new_command(folder: Path, robot: str, tip: tuple[str, ...], base: str | None
     say(f"editors complete and check these files by {folder / SCHEMAS}")
 
 
-@click.command("simulate")
+@cli.command("simulate")
 @click.argument("truth", type=FILE)
 @click.option("--out", type=FILE, help="Measurement CSV; measurements.csv beside the truth file by default.")
 @OVER
@@ -91,7 +92,7 @@ def simulate_command(truth: Path, out: Path | None, force: bool) -> None:
     say(f"wrote {path}: simulated; state simulated = true under [acceptance] of its study, so that the report says so")
 
 
-@click.command("next", cls=ArgumentCommand)
+@cli.command("next", cls=ArgumentCommand)
 @click.argument("study", type=FILE)
 @click.option(
     "--rows", type=FILE, multiple=True, help="CSV of rows measured since, besides the study's own; may be repeated."
@@ -138,7 +139,7 @@ def next_command(
     )
 
 
-@click.command("schema")
+@cli.command("schema")
 @click.argument("kind", default="")
 @click.option("--draft", type=click.Choice(["4", "2020-12"]), default="4", show_default=True,
               help="Of JSON Schema; editors' TOML support (Taplo) reads 4.")  # fmt: skip

@@ -212,25 +212,26 @@ class Attained:
             return Attained.in_its_unit(calibrated, data)
         rows = calibrated.conditions_of(data)
         table, group = _points(data)
-        estimates = {NOMINAL: calibrated.model.nominal, CALIBRATED: calibrated.estimate}
         expected = {
-            NOMINAL: averaged(calibrated.model.point(calibrated.model.nominal, rows), group),
-            CALIBRATED: averaged(calibrated.expected_point(rows), group),
+            NOMINAL: group_means(calibrated.model.point(calibrated.model.nominal, rows), group),
+            CALIBRATED: group_means(calibrated.expected_point(rows), group),
         }
         if TARGET[0] in data.table:
-            expected[COMMANDED] = averaged(data.table[[*TARGET]].to_numpy(dtype=float), group)
-        noise = np.sqrt(averaged(np.nan_to_num(calibrated.device_sigma(data)) ** 2, group) / table["rows"].to_numpy())
-        shared = averaged(calibrated.shared_errors(rows, places), group)
-        left = averaged(calibrated.position_variance(rows, places).sum(axis=1), group) - (shared**2).sum(axis=(1, 2))
+            expected[COMMANDED] = group_means(data.table[[*TARGET]].to_numpy(dtype=float), group)
+        noise = np.sqrt(
+            group_means(np.nan_to_num(calibrated.device_sigma(data)) ** 2, group) / table["rows"].to_numpy()
+        )
+        shared = group_means(calibrated.shared_errors(rows, places), group)
+        left = group_means(calibrated.position_variance(rows, places).sum(axis=1), group) - (shared**2).sum(axis=(1, 2))
         if figures is not None:
             model = replace(figures.model.later(data), given=calibrated.model.given)
-            expected[FIGURES] = averaged(model.point(figures.estimate, rows), group)
+            expected[FIGURES] = group_means(model.point(figures.estimate, rows), group)
             shared = np.concatenate([shared, (expected[FIGURES] - expected[CALIBRATED])[:, :, None]], axis=2)
         row_numbers = members(group)
         return Attained(
-            table, group, averaged(data.position, group), expected, shared, np.sqrt(np.maximum(left, 0.0) + 3 * noise**2), noise,
+            table, group, group_means(data.position, group), expected, shared, np.sqrt(np.maximum(left, 0.0) + 3 * noise**2), noise,
             np.array([pose_repeatability(data.position[k]) for k in row_numbers]),
-            AttainedTurns.of(calibrated, estimates, data, rows, row_numbers), NOT_FITTED, by_session=calibrated.model.by_session,
+            AttainedTurns.of(calibrated, data, rows, row_numbers), NOT_FITTED, by_session=calibrated.model.by_session,
         ).standing(station)  # fmt: skip
 
     @staticmethod
@@ -249,12 +250,12 @@ class Attained:
             )
         off = {NOMINAL: np.nan_to_num(nominal[rows]), CALIBRATED: np.nan_to_num(found.error[rows])}
         table, group = _points(data.only(rows))
-        of_device = averaged(calibrated.device_sigma(data)[rows] ** 2, group) / table["rows"].to_numpy()
-        variance = averaged((there * found.variance).sum(axis=1)[rows], group)
-        expected = {name: averaged(errors_of - off[CALIBRATED], group) for name, errors_of in off.items()}
+        of_device = group_means(calibrated.device_sigma(data)[rows] ** 2, group) / table["rows"].to_numpy()
+        variance = group_means((there * found.variance).sum(axis=1)[rows], group)
+        expected = {name: group_means(errors_of - off[CALIBRATED], group) for name, errors_of in off.items()}
         return Attained(
-            table, group, -averaged(off[CALIBRATED], group), expected, np.zeros((len(table), off[CALIBRATED].shape[1], 0)),
-            np.sqrt(variance + averaged(values[rows], group) * of_device), np.sqrt(of_device),
+            table, group, -group_means(off[CALIBRATED], group), expected, np.zeros((len(table), off[CALIBRATED].shape[1], 0)),
+            np.sqrt(variance + group_means(values[rows], group) * of_device), np.sqrt(of_device),
             np.full(len(table), np.nan), None, NOT_FITTED, unit, in_space=False,
             taken=found.taken, values=float(values.sum() / data.table["pose"].nunique()),
         ).standing("known")  # fmt: skip
@@ -381,7 +382,7 @@ def _points(data: Measurements) -> tuple[pd.DataFrame, np.ndarray]:
     return data.table.iloc[first][labels].reset_index(drop=True).assign(rows=np.bincount(group)), group
 
 
-def averaged(values: np.ndarray, group: np.ndarray) -> np.ndarray:
+def group_means(values: np.ndarray, group: np.ndarray) -> np.ndarray:
     """Return the means (n, …) of values (n_rows, …) over each group of rows, numbered from 0 by group (n_rows,)."""
     columns = values.reshape(len(values), -1).T
     sums = np.stack([np.bincount(group, weights=column) for column in columns], axis=1)
@@ -390,34 +391,28 @@ def averaged(values: np.ndarray, group: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class AttainedTurns:
-    """Tool orientations by point: measured (n, 3, 3), expected by each model; repeatability (n, 3): RP [rad]."""
+    """Tool orientations by point: measured and by the calibrated robot (n, 3, 3); repeatability (n, 3): RP [rad]."""
 
     measured: np.ndarray
-    expected: Mapping[str, np.ndarray]
+    expected: np.ndarray
     repeatability: np.ndarray
 
     @staticmethod
     def of(
-        calibrated: CalibratedModel, estimates: Mapping[str, np.ndarray], data: Measurements, conditions: np.ndarray,
-        own: Sequence[np.ndarray],
-    ) -> AttainedTurns | None:  # fmt: skip
+        calibrated: CalibratedModel, data: Measurements, conditions: np.ndarray, own: Sequence[np.ndarray]
+    ) -> AttainedTurns | None:
         """Return mean orientations of points with rows own, by packed conditions; None without orientations."""
         if data.rotation is None or not np.isfinite(data.rotation).all():
             return None
         seen = Rotation.from_matrix(data.rotation)
-        means = [seen[k].mean() for k in own]
-        about = [(seen[k] * mean.inv()).as_rotvec() for k, mean in zip(own, means, strict=True)]
-        expected = {}
-        for name, p in estimates.items():
-            every = Rotation.from_matrix(calibrated.model.rotation(p, conditions))
-            expected[name] = np.stack([every[k].mean().as_matrix() for k in own])
-        return AttainedTurns(
-            np.stack([mean.as_matrix() for mean in means]), expected, np.stack([angle_repeatability(a) for a in about])
-        )
+        predicted = Rotation.from_matrix(calibrated.model.rotation(calibrated.estimate, conditions))
+        measured, expected = (np.stack([turns[k].mean().as_matrix() for k in own]) for turns in (seen, predicted))
+        about = [(seen[k] * seen[k].mean().inv()).as_rotvec() for k in own]
+        return AttainedTurns(measured, expected, np.stack([angle_repeatability(angles) for angles in about]))
 
-    def errors(self, model: str, turn: np.ndarray) -> np.ndarray:
+    def errors(self, turn: np.ndarray) -> np.ndarray:
         """Return rotation errors (n, 3) [rad], measured relative to expected, about the measuring frame's axes.
 
         turn (n, 3, 3): that of each point's frame, if it is fitted.
         """
-        return Rotation.from_matrix(turn @ self.measured @ self.expected[model].transpose(0, 2, 1)).as_rotvec()
+        return Rotation.from_matrix(turn @ self.measured @ self.expected.transpose(0, 2, 1)).as_rotvec()

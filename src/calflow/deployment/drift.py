@@ -145,7 +145,7 @@ def _left_open(
     These are the calibration's uncertain errors, each of standard deviation 1, and a fitted device frame.
     """
     calibrated = replace(check.calibrated, alternatives=())
-    together = check.averaged(calibrated.shared_errors(calibrated.conditions_of(check.data)))
+    together = check.means(calibrated.shared_errors(calibrated.conditions_of(check.data)))
     seen = together.reshape(len(check.error), -1) / np.sqrt(np.repeat(check.own, 3))[:, None]
     new = bare.shared_errors(conditions) / sigma
     if fitted:  # the further poses are measured in a frame of their own
@@ -405,7 +405,7 @@ def _usual_error(check: CheckProblem, fitted: bool) -> float:
     """Return the root mean square error of the points [m] of an uncalibrated robot of the kind, by the priors."""
     model, rows = check.calibrated.model, check.calibrated.conditions_of(check.data)
     joint = np.array([bool(parameter.joint) for parameter in model.parameters])
-    moves = check.averaged(model.point_jacobian(check.calibrated.estimate, rows)) * (model.prior_sd * joint)
+    moves = check.means(model.point_jacobian(check.calibrated.estimate, rows)) * (model.prior_sd * joint)
     return float(np.linalg.norm(beside_motion(moves, check.points) if fitted else moves) / np.sqrt(len(check.points)))
 
 

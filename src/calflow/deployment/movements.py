@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 import scipy
 
-from calflow.deployment.attained import CALIBRATED, Attained, Station, averaged, rigid_slope
+from calflow.deployment.attained import CALIBRATED, Attained, Station, group_means, rigid_slope
 from calflow.effects.base import unmet
 from calflow.effects.geometry import Geometry
 from calflow.effects.misstated_payload import PayloadMass
@@ -237,12 +237,12 @@ class CheckProblem:
 
     def columns(self, movement: Movement, since: int) -> np.ndarray:
         """Return the Jacobian of a movement since a session (counted from 0), shape (n, k) [m per unit]."""
-        slope = self.averaged(movement.slope) * (self.attained.frame >= since)[:, None, None]
+        slope = self.means(movement.slope) * (self.attained.frame >= since)[:, None, None]
         return np.asarray(slope.reshape(len(self.error), -1))
 
-    def averaged(self, values: np.ndarray) -> np.ndarray:
+    def means(self, values: np.ndarray) -> np.ndarray:
         """Return the means (n / 3, …) of values (n_rows, …) over the rows of each point."""
-        return averaged(values, self.attained.group)
+        return group_means(values, self.attained.group)
 
     @property
     def square(self) -> float:
@@ -322,7 +322,7 @@ def by_sessions(data: Measurements) -> Measurements:
     if "session" in table:
         order = table.groupby(table["session"].astype(str), sort=False).ngroup()
     elif "time" in table:
-        order = (table["time"].diff() > GAP).cumsum()
+        order = (table["time"].diff() > GAP).astype(int).cumsum()
         if order.any():
             begun = table.groupby(order)["time"].transform("first")
             table = table.assign(session=[f"{time / 3600:.1f} h" for time in begun])

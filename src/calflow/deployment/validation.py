@@ -348,7 +348,7 @@ class _Comparison:
         """Return one row per point."""
         attained, size, turns = self.attained, self.size, self.attained.turns
         shown, sd = attained.unit.shown, attained.promised
-        turned = turns.errors(CALIBRATED, attained.turned) if turns else None
+        turned = turns.errors(attained.turned) if turns else None
         rows = []
         for k, labels in enumerate(attained.table.to_dict("records")):
             dx, dy, dz = (attained.position_in_mm(value) for value in self.error[self.judged][k][:3])

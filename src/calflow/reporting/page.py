@@ -280,11 +280,6 @@ def contents(titles: Sequence[str]) -> Html:
     return element("nav", element("h2", "Contents"), element("ol", *links), aria_label="Contents")
 
 
-def section(number: int, title: str, inside: Html) -> Html:
-    """Return a section with its heading."""
-    return element("section", element("h2", title), Html("\n"), inside, id=f"section-{number}")
-
-
 def _inside(picture: bytes) -> str:
     return f"data:image/webp;base64,{base64.b64encode(picture).decode()}"
 
@@ -327,7 +322,10 @@ def write_html(title: str, parts: Sequence[Part], folder: Path) -> None:
     blocks = Page(pictures(folder / "figures", drawn) | pictures(folder, small, OF_SMALL))
     (_, first), *others = parts
     begin = element("header", blocks.all(first))
-    body = [section(k, name, blocks.all(blocks_of)) for k, (name, blocks_of) in enumerate(others, start=1)]
+    body = [
+        element("section", element("h2", name), Html("\n"), blocks.all(blocks_of), id=f"section-{k}")
+        for k, (name, blocks_of) in enumerate(others, start=1)
+    ]
     style, scripts = _file(STYLE), [_file(name) for name in SCRIPTS]
     head = [
         element("meta", charset="utf-8"),
