@@ -20,7 +20,7 @@ from typing import Any, Generic
 
 import numpy as np
 
-from calflow.diagnosis.regressors import H
+from calflow.diagnosis.regressors import H, Hypothesis
 from calflow.diagnosis.screening import Family, Score, by_place
 from calflow.diagnosis.trial import Detection, Trial, is_new
 
@@ -179,10 +179,10 @@ class Stepwise:
 
         Of pairs one cause is among the best in the place of what goes, and the other the best beside it.
         """
-        small = [cause for cause in trial.causes if cause.n_parameters <= FEW_COLUMNS][-ENTANGLED:]
+        small = [cause for cause in trial.causes if _is_small(cause)][-ENTANGLED:]
         for gone in (*combinations(small, 2), *combinations(small, 1)):
             stay, linear = [cause for cause in trial.causes if cause not in gone], trial.linearisation
-            singles = [score for score in linear.apart(gone).scores if score.cause.n_parameters <= FEW_COLUMNS]
+            singles = _small(trial, stay)
             now, best = -linear.rise(gone), next(iter(singles), None)
             if best and len(gone) == 2 and best.cost < now and self.acceptance.accepts(best, trial.first.family):
                 yield _replaced(trial, [*stay, best.cause])
@@ -198,8 +198,7 @@ class Stepwise:
     def _pairs(self, trial: Trial[H], stay: list[H], firsts: Sequence[Score[H]]) -> Iterator[tuple[float, list[H]]]:
         """Yield the causes with each of some candidates added, and the best beside it, and what both cost, linear."""
         for first in firsts:
-            seconds = trial.linearisation.tested_with([*stay, first.cause]).scores
-            second = next((score for score in seconds if score.cause.n_parameters <= FEW_COLUMNS), None)
+            second = next(iter(_small(trial, [*stay, first.cause])), None)
             if second and second.cause.place != first.cause.place:
                 yield first.cost + second.cost, [*stay, first.cause, second.cause]
 
@@ -257,6 +256,18 @@ def _untried(steps: Iterable[Proposal[H]], tried: Sequence[Trial[H]]) -> Iterato
     while len(tried) < MOST_TRIALS and (step := next(steps, None)):
         if is_worth_trying(step.causes, tried):
             yield step
+
+
+def _is_small(cause: Hypothesis) -> bool:
+    """Whether a cause has few parameters."""
+    return cause.n_parameters <= FEW_COLUMNS
+
+
+def _small(trial: Trial[H], causes: Sequence[H]) -> list[Score[H]]:
+    """Return the scores of small causes beside the given ones, best first."""
+    places = {each.cause.place for each in trial.linearisation.regressors.candidates if _is_small(each.cause)}
+    scores = trial.linearisation.tested_with(causes, places).scores if places else []
+    return [score for score in scores if _is_small(score.cause)]
 
 
 def _replaced(trial: Trial[H], causes: list[H]) -> Proposal[H]:
