@@ -187,7 +187,9 @@ def _separation(
     if proposed:
         words = f"measure the {MOST_NEXT_POSES} poses of next_poses.csv: {apart}"
     elif means:
-        words = f"{no_pose_words(cause.id, rival.id, after if rival.cause else None, unasked)}: {means}"
+        words = (
+            f"{no_pose_words(named(cause).name, named(rival).name, after if rival.cause else None, unasked)}: {means}"
+        )
     else:
         words = f"measure {MOST_NEXT_POSES} further poses, once the other rivals are excluded: {apart}"
     return SeparationRow(

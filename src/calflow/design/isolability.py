@@ -24,7 +24,7 @@ from calflow.diagnosis.screening import Catalogue, Family, Screening
 from calflow.diagnosis.stepwise import SHARES, WITHIN
 from calflow.effects import Effect, effect_class
 from calflow.effects.cause import Cause
-from calflow.effects.wording import NamedCause
+from calflow.effects.wording import cause_name
 from calflow.estimation.probing import probed
 from calflow.files.deferred import pd
 from calflow.files.tables import column, to_frame
@@ -176,12 +176,11 @@ class Isolability:
         return self.indistinguishable[cause][rival[0]] if rival and rival not in self.causes else ""
 
     def _name(self, place: Place) -> str:
-        """Return a cause's label with its joint, or with its part if it has several."""
-        if place not in self.causes:
-            return place[0]
-        joint = self.causes[place].joint
-        alone = joint or sum(place[0] == id_ for id_, _ in self.causes) == 1
-        return NamedCause(place[0], joint).label if alone else f"{place[0]} ({place[1]})"
+        """Return a cause's name in words with its joint, or with its part if it has several."""
+        several = sum(place[0] == cause for cause, _ in self.causes) > 1
+        return cause_name(
+            place[0], self.causes[place].joint if place in self.causes else 0, place[1] if several else ""
+        )
 
     def _words(
         self, cause: Place, rival: Place | None, filled: tuple[str, float] | None, tried: Mapping[str, Isolability]

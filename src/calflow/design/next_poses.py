@@ -84,7 +84,7 @@ def uncertainties(
     for suspect, moved, span in zip(suspects, at_task.by(suspects), columns, strict=True):
         root = np.sqrt(suspect.probability) * suspect.root
         uncertainties.append(
-            Uncertainty(suspect.name, (slopes[:, :, span] + free @ suspect.response) @ root, moved @ root)
+            Uncertainty(named(suspect.cause).name, (slopes[:, :, span] + free @ suspect.response) @ root, moved @ root)
         )
     if planned.observation.units == (METRE,) * 3:
         both = (choices.conditions, at_task.conditions)
@@ -125,8 +125,8 @@ def _discriminating(asked: Sequence[Question], choices: Measurements, most: int)
         for question, plan in plans:
             if k < len(plan.poses) and len(reasons) < most:
                 same = (choices.joints == plan.poses.joints[k]).all(axis=1)
-                rivals = ", ".join(named(rival).label for rival in plan.rivals)
-                reasons.setdefault(int(same.argmax()), f"distinguishes {named(question.cause).label} from {rivals}")
+                rivals = ", ".join(named(rival).name for rival in plan.rivals)
+                reasons.setdefault(int(same.argmax()), f"distinguishes {named(question.cause).name} from {rivals}")
     return reasons
 
 
@@ -321,7 +321,7 @@ def _suspects(rivals: Sequence[Alternative], fitted: Fitted, causes: Sequence[La
     """Return the suspects, the likeliest first."""
     of_poses = float(independent_sizes(fitted)[1][1:].sum())
     every: list[tuple[str, Kind, float]] = [
-        *((cause.name, "cause", cause.probability) for cause in causes),
+        *((named(lacking.cause).label, "cause", lacking.probability) for lacking in causes),
         *((" and ".join(inputs), "background", share) for inputs, share in fitted.smooth.probabilities.items()),
         ("pose", "pose", of_poses),
         *((named(rival.rival).label if rival.rival else UNEXPLAINED, "rival", rival.probability) for rival in rivals),

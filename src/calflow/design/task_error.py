@@ -20,7 +20,6 @@ from calflow.design.planned import Measure, Planned, Task, by_tool
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import Catalogue, by_place, place_probabilities
 from calflow.diagnosis.trial import Linearisation
-from calflow.diagnosis.verdict import named
 from calflow.effects import Effect
 from calflow.effects.cause import Cause
 from calflow.estimation.calibrated_model import Alternative, offsets, points_at
@@ -51,11 +50,6 @@ class LackingCause:
     mean: np.ndarray
     covariance: np.ndarray
     response: np.ndarray
-
-    @property
-    def name(self) -> str:
-        """Its id and joint."""
-        return named(self.cause).label
 
     @property
     def root(self) -> np.ndarray:
