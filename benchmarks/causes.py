@@ -26,7 +26,7 @@ from scipy.special import logsumexp
 
 import calflow as cf
 from calflow.diagnosis import FALSE_ALARM
-from calflow.diagnosis.extension import Extended, extend
+from calflow.diagnosis.extension import FittedTrial, extend
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.stepwise import SHARES, CauseAcceptance
@@ -103,7 +103,7 @@ def _shown(known: CalibratedModel, data: Measurements, moved: np.ndarray) -> flo
 
 def diagnosed(
     case: Case, rng: np.random.Generator
-) -> tuple[CalibratedModel, Extended, Catalogue, tuple[ModelInReach, ...]]:
+) -> tuple[CalibratedModel, FittedTrial, Catalogue, tuple[ModelInReach, ...]]:
     """What the search of diagnose finds among the look-alikes."""
     data = case.data.on(case.known.model.robot)
     catalogue = Catalogue((NonlinearJointStiffness(data.robot), LinkTorsion(data.robot)), {})
@@ -119,7 +119,7 @@ def diagnosed(
     return extended, found, catalogue, reached
 
 
-def shown_places(found: Extended, catalogue: Catalogue) -> list[Cause]:
+def shown_places(found: FittedTrial, catalogue: Catalogue) -> list[Cause]:
     """A cause of each place that the data show."""
     return list(rivals_shown(found.findings, Linearisation.at(found.fitted, catalogue.effects).beside.scores).values())
 

@@ -249,7 +249,7 @@ def test_a_robot_is_told_the_same_at_its_first_step():
     begun = start(data)
     catalogue = Catalogue.of(data, ("geometry",), ("joint-eccentricity", "gear-ratio-error", "joint-compliance"))
     looked = Linearisation.at(begun, catalogue.effects)
-    known = extend(begun, catalogue, CauseAcceptance(0.01, 1), np.random.default_rng(1), lambda _: None).extended
+    known = extend(begun, catalogue, CauseAcceptance(0.01, 1), np.random.default_rng(1), lambda _: None)
     (score,) = (one for one in known.first.scores if one.cause == soft)
     r = looked.regressors
     blocks = [

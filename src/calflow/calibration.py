@@ -365,7 +365,7 @@ class Calibration(CalibratedModel, RunOutcome):
         asked = {"diagnose": {"false_alarm": false_alarm}}
         tables = _diagnosed_tables(diagnosis, extended, before, questions(diagnosis, data, rng), rng)
         if confirm and diagnosis.causes:
-            tables |= _confirmed_tables(diagnosis.extended.fitted, confirm, say)
+            tables |= _confirmed_tables(diagnosis.extended, confirm, say)
         kept = _as_loaded("diagnose", extended, tables)
         tables |= _certainty("diagnose", kept, data, tables)
         tables |= _in_space("diagnose", kept, data, rng("in space"))
@@ -799,7 +799,7 @@ def _diagnosed_tables(
     diagnosis: Diagnosis, extended: CalibratedModel, before: Calibration, asked: Sequence[Question], rng: Draws
 ) -> Results:
     """Return the tables and the summary of diagnose; before is the calibration that was diagnosed."""
-    final, data = diagnosis.final or diagnosis.extended.fitted, before.data
+    final, data = diagnosis.final or diagnosis.extended, before.data
     studentised = Studentised.of(final.fit, data, extended.noise(data), final.covariance)
     odd, odd_faults = odd_rows(final.fit, data, studentised)
     odd_table = as_table(odd_faults if diagnosis.final else (), data)
@@ -810,7 +810,7 @@ def _diagnosed_tables(
         ),
         "diagnose/candidates.csv": candidates_table(diagnosis, data.only(data.train), rng("limits")),
         "diagnose/accuracy.csv": accuracy_table(diagnosis, data, list(before.accuracy)),
-        "diagnose/next_poses.csv": poses_table(asked, diagnosis.extended.fitted),
+        "diagnose/next_poses.csv": poses_table(asked, diagnosis.extended),
         "diagnose/separations.csv": separations_table(asked),
         "diagnose/parameters.csv": Parameters.fitted(final.fit, final.covariance).table,
         "diagnose/alternatives.csv": alternatives_table(diagnosis.alternatives, extended.model),
@@ -818,7 +818,7 @@ def _diagnosed_tables(
         "diagnose/cause_probabilities.csv": cause_table(diagnosis.in_reach),
         "diagnose/faults.csv": odd_table,
         "diagnose/residuals.csv": judged_table(final.fit, data, studentised, odd),
-        "diagnose/curves.csv": curves(diagnosis.extended.fitted, diagnosis.causes, data),
+        "diagnose/curves.csv": curves(diagnosis.extended, diagnosis.causes, data),
         **model_tables("diagnose", extended),
     }
     summary = diagnosis_summary(diagnosis, before)
@@ -833,13 +833,13 @@ def _confirmed_tables(fitted: Fitted, other: Study, say: Say) -> Results:
     data, faults = examined(other.measurements(), other.measurement_paths)
     for fault in faults:
         say(f"{other.name}: {fault.summary}")
-    confirmation = confirmed(fitted, data)
-    say(f"{other.name}: " + "; ".join(confirmation.table["words"].unique()))
+    causes, curves, accuracy = confirmed(fitted, data)
+    say(f"{other.name}: " + "; ".join(causes["words"].unique()))
     return Results(
         {
-            "diagnose/confirmation.csv": confirmation.table,
-            "diagnose/confirmation_curves.csv": confirmation.curves,
-            "diagnose/confirmation_accuracy.csv": confirmation.accuracy,
+            "diagnose/confirmation.csv": causes,
+            "diagnose/confirmation_curves.csv": curves,
+            "diagnose/confirmation_accuracy.csv": accuracy,
             "diagnose/confirmation_faults.csv": as_table(faults, data),
         }
     )

@@ -25,7 +25,7 @@ def fitted(small):
     """The small robot's, whose fit lacks nothing."""
     data = load_study(small.path).measurements()
     found = fit_effects(data, ("geometry", "joint-compliance"), starts=1)
-    return search_causes(found.known, found.data).extended.fitted
+    return search_causes(found.known, found.data).extended
 
 
 @pytest.fixture

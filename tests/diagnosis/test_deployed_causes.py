@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import pytest
 
 from calflow.diagnosis.diagnosis import search_causes
-from calflow.diagnosis.verdict import Amplitude, deployed_causes
+from calflow.diagnosis.verdict import Amplitude, deployed_model
 from diagnosis.found import hidden, start
 from estimation.data import SIGMA, calibration
 
@@ -77,12 +77,8 @@ def test_what_helps_nowhere_else_stays_a_suspicion(told, misses, without, stay):
         SimpleNamespace(status=one.replace("vague", "named"), finding=SimpleNamespace(cause=Named(name), told=one))
         for name, one in told.items()
     ]
-    extended = SimpleNamespace(fitted=Missing(misses | {"": without}, "".join(told)))
-    kept = deployed_causes(extended, verdicts)
-    assert "".join(one.finding.cause for one in kept.deployed) == stay
-    assert "".join(one.finding.cause for one in kept.suspected) == "".join(one for one in told if one not in stay)
-    assert (kept.fitted is None) == (not stay)
-    assert kept.fitted is None or kept.fitted.causes == stay
+    used = deployed_model(Missing(misses | {"": without}, "".join(told)), verdicts)
+    assert (used.causes if used else "") == stay
 
 
 def test_where_nothing_was_found_the_identified_model_stays():

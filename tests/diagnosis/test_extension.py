@@ -10,10 +10,12 @@ import pytest
 from calflow.diagnosis import extension as extension_module
 from calflow.diagnosis import fitted as fitted_module
 from calflow.diagnosis.background import BackgroundBasis
+from calflow.diagnosis.diagnosis import Diagnosis
 from calflow.diagnosis.extension import FittedTrial, extend, weighed, weighed_against
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.stepwise import CauseAcceptance, Stepwise, second_thoughts
 from calflow.diagnosis.trial import Linearisation
+from calflow.diagnosis.verdict import verdict
 from calflow.estimation.fit import fit_reweighted
 from calflow.estimation.noise import Noise
 from calflow.estimation.progress import nobody
@@ -43,17 +45,26 @@ def test_both_causes_are_added_and_nothing_else(data):
         np.random.default_rng(1),
         lambda _: None,
         shares.append,
-    ).extended
+    )
     assert len(shares) >= 2  # a step a cause
     assert shares == sorted(set(shares))
     assert 0 < shares[0] < shares[-1] < 1
     assert [finding.cause.place for finding in extended.findings] == [
         ("joint-compliance", "joint2"), ("joint-eccentricity", "joint1"),
     ]  # fmt: skip
-    assert [len(fit.model.effects) for fit in extended.path] == [2, 3]
-    assert extended.path[-1].estimate == pytest.approx(extended.fitted.fit.estimate)
+    path = diagnosed(extended, None).path
+    assert [len(fit.model.effects) for fit in path] == [2, 3]
+    assert path[-1] is extended.fitted.fit
+    alone = extended.fitted.with_causes(extended.causes[:1])
+    assert [fit is alone.fit for fit in diagnosed(extended, alone).path] == [True, False]
     assert all(finding.p < 1e-6 for finding in extended.findings)
     assert extended.fitted.lack.reduced_chi2 == pytest.approx(1.0, abs=0.25)
+
+
+def diagnosed(trial, final):
+    """The diagnosis that ends with a trial, and with a model to be used."""
+    verdicts, fitted = tuple(map(verdict, trial.findings)), trial.fitted
+    return Diagnosis(fitted, trial.first, fitted, final, verdicts, (), None, trial.catalogue, 0.01)
 
 
 def test_series_of_two_devices_make_a_cause_no_dearer():
@@ -79,7 +90,7 @@ def test_noise_alone_extends_nothing():
     data = hidden([])
     extended = extend(
         start(data), Catalogue.of(data, ("geometry",), TESTED), GATE, np.random.default_rng(1), lambda _: None
-    ).extended
+    )
     assert extended.findings == ()
 
 
@@ -106,7 +117,7 @@ def test_a_knee_is_refined_until_one_cause_explains_all():
     soft = cause("joint-compliance", "joint2")
     data = hidden([(soft, (1.5e-6,)), (knee, (6e-3,))], poses=120)
     listed = Catalogue.of(data, ("geometry",), ("joint-compliance", "nonlinear-joint-stiffness"))
-    extended = extend(start(data), listed, GATE, np.random.default_rng(1), lambda _: None).extended
+    extended = extend(start(data), listed, GATE, np.random.default_rng(1), lambda _: None)
     assert {finding.cause.place for finding in extended.findings} == {soft.place, knee.place}
     found = next(finding.cause for finding in extended.findings if finding.cause.place == knee.place)
     assert found.effect.knee == pytest.approx(0.29, abs=0.01)
@@ -119,7 +130,7 @@ def test_a_gross_mistake_is_found_and_split_between_no_two_forms():
     data = hidden([(wrong, (0.03,))])
     extended = extend(
         start(data), Catalogue.of(data, ("geometry",), TESTED), GATE, np.random.default_rng(1), lambda _: None
-    ).extended
+    )
     assert [finding.cause.place for finding in extended.findings] == [wrong.place]
     assert extended.fitted.fit.estimate[-1] == pytest.approx(0.03, rel=1e-3)
 
@@ -133,7 +144,7 @@ def test_orders_of_one_joint_may_act_together():
     data = hidden([(first, (2e-4, 1e-4)), (second, (-2e-4, 1e-4))])
     extended = extend(
         start(data), Catalogue.of(data, ("geometry",), TESTED), GATE, np.random.default_rng(1), lambda _: None
-    ).extended
+    )
     assert [finding.cause.place for finding in extended.findings] == [first.place] * 2
     orders = sorted(finding.cause.effect.order for finding in extended.findings)
     assert orders == pytest.approx([4.0, 9.0], abs=0.1)
@@ -172,15 +183,17 @@ def test_a_search_begins_once_from_each_set_of_causes(monkeypatch, data, found):
     extended = extend(
         start(data), Catalogue.of(data, ("geometry",), TESTED), GATE, np.random.default_rng(1), lambda _: None
     )
-    causes, searches = extended.fitted.causes[:found], []
+    causes, searches = extended.causes[:found], []
     again = extended.with_causes(causes)
     monkeypatch.setattr(extension_module, "_weakest", lambda fitted, *more: next(iter(fitted.causes), None))
     monkeypatch.setattr(extension_module, "_searched", lambda _, beside, *more: searches.append(beside.causes) or again)
     catalogue_ = Catalogue.of(data, ("geometry",), TESTED)
     basis = BackgroundBasis.of(start(data))
-    ended = weighed(start(data), extended, basis, catalogue_, Stepwise(GATE, np.random.default_rng(1), nobody, nobody))
+    last, findings = weighed(
+        start(data), extended, basis, catalogue_, Stepwise(GATE, np.random.default_rng(1), nobody, nobody)
+    )
     assert searches == [()]
-    assert ended.fitted.causes == ended.findings == ()
+    assert last.causes == findings == ()
 
 
 def test_a_search_that_finds_nothing_that_stays_is_not_repeated(monkeypatch, data):
@@ -196,9 +209,9 @@ def test_a_search_that_finds_nothing_that_stays_is_not_repeated(monkeypatch, dat
     monkeypatch.setattr(extension_module, "_searched", lambda _, beside, *more: searches.append(beside.causes) or again)
     catalogue_ = Catalogue.of(data, ("geometry",), TESTED)
     basis = BackgroundBasis.of(start(data))
-    ended = weighed(start(data), found, basis, catalogue_, Stepwise(GATE, np.random.default_rng(1), nobody, nobody))
+    last, _ = weighed(start(data), found, basis, catalogue_, Stepwise(GATE, np.random.default_rng(1), nobody, nobody))
     assert searches == [(first, second)]
-    assert ended.fitted.causes == (first,)
+    assert last.causes == (first,)
 
 
 def set_up_anew(table):
@@ -216,9 +229,9 @@ def test_a_device_that_was_set_up_anew_does_not_give_way_to_an_error_in_time():
     tested = Catalogue.of(begun.data, ("geometry",), ("gear-ratio-error", "session-frame"))
     extended = extend(begun, tested, GATE, np.random.default_rng(1), lambda _: None)
     basis = BackgroundBasis.of(begun)
-    ended = weighed(begun, extended, basis, tested, Stepwise(GATE, np.random.default_rng(1), nobody, nobody))
-    assert extended.fitted.causes == ()
-    assert [found.id for found in ended.fitted.causes] == ["session-frame"]
+    last, _ = weighed(begun, extended, basis, tested, Stepwise(GATE, np.random.default_rng(1), nobody, nobody))
+    assert extended.causes == ()
+    assert [found.id for found in last.causes] == ["session-frame"]
 
 
 def test_a_device_that_was_set_up_anew_is_no_cause_too_many():
@@ -230,16 +243,16 @@ def test_a_device_that_was_set_up_anew_is_no_cause_too_many():
     )
     extended = extend(begun, tested, none, np.random.default_rng(1), lambda _: None)
     basis = BackgroundBasis.of(begun)
-    ended = weighed(begun, extended, basis, tested, Stepwise(none, np.random.default_rng(1), nobody, nobody))
-    assert ended.fitted.causes == ended.findings == ()
+    last, findings = weighed(begun, extended, basis, tested, Stepwise(none, np.random.default_rng(1), nobody, nobody))
+    assert last.causes == findings == ()
 
 
 def test_a_wider_catalogue_keeps_what_was_weighed(data):
     """Fails if candidates that were left out of the search come at the price of what a background and poses left out told."""
     narrow, wide = (Catalogue.of(data, ("geometry",), TESTED[:more]) for more in (3, 5))
-    extended = extend(start(data), narrow, GATE, np.random.default_rng(1), lambda _: None).extended
-    told = tuple(replace(finding, unnamed=9.0, carries_over=True) for finding in extended.findings)
-    wider = weighed_against(replace(extended, findings=told), wide).findings
+    extended = extend(start(data), narrow, GATE, np.random.default_rng(1), lambda _: None)
+    told = tuple(replace(finding, unnamed=9.0, carries_over=True) for finding in extended.weighed_findings)
+    wider = weighed_against(told, replace(extended, catalogue=wide))
     assert [(finding.cause, finding.unnamed, finding.carries_over) for finding in wider] == [
         (finding.cause, 9.0, True) for finding in told
     ]

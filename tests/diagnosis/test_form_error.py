@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calflow.diagnosis.background import BackgroundBasis, uneven_or_other_forms
-from calflow.diagnosis.extension import FittedTrial, extend, unnamed
+from calflow.diagnosis.extension import extend, unnamed
 from calflow.diagnosis.form_error import variations
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.stepwise import CauseAcceptance
@@ -34,8 +34,8 @@ def found(data, size, cubic):
     catalogue = Catalogue(
         (cause("gear-ratio-error", "joint2").effect, cause("joint-eccentricity", "joint2", order=1).effect), {}
     )
-    ended = extend(start(data), catalogue, CauseAcceptance(0.01, 1), np.random.default_rng(1), lambda _: None).extended
-    return ended.findings[0], FittedTrial(ended.first, ended.fitted, catalogue).findings[0]
+    ended = extend(start(data), catalogue, CauseAcceptance(0.01, 1), np.random.default_rng(1), lambda _: None)
+    return ended.weighed_findings[0], ended.findings[0]
 
 
 def test_a_small_misfit_of_a_large_cause_does_not_settle_its_name(poses):

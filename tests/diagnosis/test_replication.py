@@ -41,20 +41,20 @@ def here():
 def test_the_same_error_confirms(here):
     """Breaks if curves are compared at other angles, or the carried model is not better than none on the other series."""
     found, _ = here
-    told = confirm(found, series((2e-4, 1e-4), 2)[2])
-    (row,) = told.table.to_dict("records")
+    causes, _, accuracies = confirm(found, series((2e-4, 1e-4), 2)[2])
+    (row,) = causes.to_dict("records")
     assert row["joint"] == 1
     assert row["correlation"] > 0.95
     assert "the same curve" in row["words"]
-    accuracy = told.accuracy.set_index("model")["heldout_mean_mm"]
+    accuracy = accuracies.set_index("model")["heldout_mean_mm"]
     assert accuracy["the causes carried over"] < 0.7 * accuracy["without the causes"]
 
 
 def test_another_error_contradicts(here):
     """Breaks if series that disagree count as confirmed."""
     found, _ = here
-    told = confirm(found, series((-2e-4, 1e-4), 3)[2])
-    assert "do not agree" in told.table["words"].iloc[0]
+    causes, *_ = confirm(found, series((-2e-4, 1e-4), 3)[2])
+    assert "do not agree" in causes["words"].iloc[0]
 
 
 def test_a_curve_is_its_terms(here):

@@ -9,13 +9,11 @@ import pandas as pd
 import pytest
 
 from calflow.diagnosis.diagnosis import Diagnosis
-from calflow.diagnosis.extension import Extended
 from calflow.diagnosis.findings import Finding, _kept_together, _overlapping, _together, findings
 from calflow.diagnosis.misfit import misfit
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.trial import Linearisation
 from calflow.diagnosis.unexplained import UnexplainedStructure
-from calflow.diagnosis.verdict import DeployedCauses
 from calflow.effects.wording import NamedCause
 from calflow.estimation.calibrated_model import Alternative
 from calflow.files.problems import InputError
@@ -39,9 +37,7 @@ def uneven():
 def diagnosis(last, **more):
     """A diagnosis that found no cause."""
     first = Linearisation.at(last, ()).screened(np.random.default_rng(1))
-    return Diagnosis(
-        last, Extended(last, (), first), DeployedCauses(last, ()), (), None, Catalogue((), {}), 0.01, **more
-    )
+    return Diagnosis(last, first, last, last, (), (), None, Catalogue((), {}), 0.01, **more)
 
 
 @pytest.mark.parametrize(("doubt", "least"), [(0.04, False), (0.06, True)])

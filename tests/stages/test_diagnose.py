@@ -10,11 +10,9 @@ import pytest
 
 from calflow.calibration import _confirmed_tables
 from calflow.diagnosis.diagnosis import Diagnosis, diagnosis_summary
-from calflow.diagnosis.extension import Extended
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.trial import Linearisation
-from calflow.diagnosis.verdict import DeployedCauses
 from calflow.estimation.fit import fit_reweighted
 from diagnosis.test_replication import series
 from estimation.data import stated
@@ -59,6 +57,6 @@ def test_the_summary_tells_whether_the_extended_fit_converged(fitted, converged)
     """Fails if identify's fit alone is asked, or the extended model's status is lost on the way."""
     last = replace(fitted, fit=replace(fitted.fit, converged=converged, status="Maximum_Iterations_Exceeded"))
     first = Linearisation.at(fitted, ()).screened(np.random.default_rng(1))
-    found = Diagnosis(fitted, Extended(last, (), first), DeployedCauses(last, ()), (), None, Catalogue((), {}), 0.01)
+    found = Diagnosis(fitted, first, last, last, (), (), None, Catalogue((), {}), 0.01)
     told = diagnosis_summary(found, SimpleNamespace(device=[SimpleNamespace(sigma=3e-5)]))
     assert (told.converged, told.solver.status) == (converged, "Maximum_Iterations_Exceeded")

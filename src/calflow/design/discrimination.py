@@ -21,6 +21,7 @@ from calflow.diagnosis.verdict import Rival, Verdict, named
 from calflow.effects import effect_class
 from calflow.effects.base import ASKED
 from calflow.effects.cause import Cause
+from calflow.effects.wording import cause_words
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.probing import probed
 from calflow.estimation.progress import Draws
@@ -119,7 +120,7 @@ def questions(
 
     The poses are chosen among given candidates, or among poses drawn in the measured region.
     """
-    final = diagnosis.extended.fitted
+    final = diagnosis.extended
     return [
         question(verdict, final, fitted_share(data), rng(f"poses{k}"), among)
         for k, verdict in enumerate(diagnosis.verdicts)
@@ -184,14 +185,17 @@ def _separation(
 ) -> SeparationRow:  # fmt: skip
     """Return the row of a cause and a rival, separated by so many standard deviations before and after further poses."""
     apart = f"they separate by {after:.1f} sd instead of {before:.1f}"
+    either = f"{cause_words(cause.id).name} from {cause_words(rival.id).name}"
     if proposed:
         words = f"measure the {MOST_NEXT_POSES} poses of next_poses.csv: {apart}"
-    elif means:
-        words = (
-            f"{no_pose_words(named(cause).name, named(rival).name, after if rival.cause else None, unasked)}: {means}"
-        )
-    else:
+    elif not means:
         words = f"measure {MOST_NEXT_POSES} further poses, once the other rivals are excluded: {apart}"
+    elif unasked:
+        words = f"no further poses could be sought in the measured region ({unasked}): {means}"
+    elif rival.cause is None:
+        words = f"no pose distinguishes {either} in these data: {means}"
+    else:
+        words = f"no {MOST_NEXT_POSES} poses with any known payload distinguish {either} ({after:.1f} sd after them): {means}"
     return SeparationRow(
         cause=cause.id, joint=cause.joint or None, rival=rival.id, rival_joint=rival.joint or None,
         separation_before_sd=before, separation_after_sd=after, chance_after=chance, words=words,
@@ -272,18 +276,6 @@ def _together(
             return chosen, after
         left.remove(min(hard, key=lambda pair: (pair[0] == 0, after[pair].lead)))
     return [], {}
-
-
-def no_pose_words(cause: str, rival: str, after: float | None, unasked: str) -> str:
-    """Return in words that no pose separates two causes; after: separation [sd] then, None if the rival is untestable.
-
-    unasked: why no further poses could be sought.
-    """
-    if unasked:
-        return f"no further poses could be sought in the measured region ({unasked})"
-    if after is None:
-        return f"no pose distinguishes {cause} from {rival} in these data"
-    return f"no {MOST_NEXT_POSES} poses with any known payload distinguish {cause} from {rival} ({after:.1f} sd after them)"
 
 
 def poses_table(questions: Sequence[Question], fitted: Fitted) -> pd.DataFrame:

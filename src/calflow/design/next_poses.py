@@ -252,7 +252,7 @@ def next_step(
         InputError: no stated pose, or hardly any drawn one, is admissible.
     """
     # The deployed model, without unproven effects.
-    fitted = diagnosis.final or diagnosis.extended.fitted.with_causes(())
+    fitted = diagnosis.final or diagnosis.extended.with_causes(())
     assert asked.task is not None
     catalogue = Catalogue.of(fitted.data, [effect.id for effect in fitted.plain])
     causes = lacking_causes(fitted, catalogue)

@@ -72,7 +72,7 @@ class CandidateRow:
 
 def candidates_table(diagnosis: Diagnosis, data: Measurements, rng: np.random.Generator) -> pd.DataFrame:
     """Return diagnose/candidates.csv: every place in its best variant, by the first screening, and effects not tested."""
-    first = diagnosis.extended.first
+    first = diagnosis.first
     places = by_place(first.scores)
     probability = place_probabilities(places)
     ordered = sorted(places.items(), key=lambda item: item[1][0])

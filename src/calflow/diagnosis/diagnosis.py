@@ -14,19 +14,18 @@ from threadpoolctl import threadpool_limits
 
 from calflow.diagnosis import FALSE_ALARM
 from calflow.diagnosis.background import BackgroundBasis
-from calflow.diagnosis.extension import Extended, extend, weighed, weighed_against
+from calflow.diagnosis.extension import FittedTrial, extend, largest_first, weighed, weighed_against
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.misfit import Misfit, MisfitRegion, misfit
 from calflow.diagnosis.noise_model import Growth, NoiseLevels, noise_of_repeats, noise_of_residuals
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.stepwise import SHARES, CauseAcceptance, Stepwise, words
-from calflow.diagnosis.trial import Linearisation
+from calflow.diagnosis.trial import Linearisation, Screened
 from calflow.diagnosis.unexplained import Standstills, UnexplainedStructure, suspected, unexplained
 from calflow.diagnosis.verdict import (
-    DeployedCauses,
     ModelInReach,
     Verdict,
-    deployed_causes,
+    deployed_model,
     fitted_alternatives,
     models_in_reach,
     verdict,
@@ -52,15 +51,19 @@ BEGUN, SEARCHED = 0.1, 0.7  # share of the work before and after the search
 class Diagnosis:
     """The result of a search: the initial model, its extension, the model to be used with the verdicts, and the remaining misfit.
 
-    left: errors of the extended model that no cause explains; noise: noise otherwise than stated; catalogue: the effects that were
+    first: the screening of the initial model; extended: the model with all causes; final: the model to be used (None: the
+    identified one as it is); verdicts: one per finding, those in the model to be used, then those that are only suspected; left:
+    errors of the extended model that no cause explains; noise: noise otherwise than stated; catalogue: the effects that were
     tested; false_alarm: false-alarm rate of the causes; misfit: the extended model's lack of fit where significant; capped:
     whether as many causes were found as were allowed; alternatives: models with rivals in the causes' places; in_reach: models one
     step from the extended one, by probability.
     """
 
     start: Fitted
-    extended: Extended
-    deployed: DeployedCauses
+    first: Screened[Cause]
+    extended: Fitted
+    final: Fitted | None
+    verdicts: tuple[Verdict, ...]
     left: tuple[UnexplainedStructure, ...]
     noise: Growth | NoiseLevels | None
     catalogue: Catalogue
@@ -81,23 +84,13 @@ class Diagnosis:
         return self.noise if isinstance(self.noise, NoiseLevels) else None
 
     @property
-    def final(self) -> Fitted | None:
-        """The model to be used; None: the identified one as it is."""
-        return self.deployed.fitted
-
-    @property
-    def verdicts(self) -> tuple[Verdict, ...]:
-        """One verdict per finding: those in the model to be used, then those that are only suspected."""
-        return (*self.deployed.deployed, *self.deployed.suspected)
-
-    @property
     def upper_limit(self) -> float:
         """Upper 95 % confidence limit of the error at new poses [m]; nan where it is unknown.
 
         A cause in whose place an unnamed error acts with a probability of more than 5 % is not relied on: the limit is no less than
         that of the model without it. Nor does the noise tell how large errors are where another model is as probable.
         """
-        final = self.final or self.extended.fitted
+        final = self.final or self.extended
         doubted = [
             other.gone for other in self.alternatives if other.gone and not other.rival and other.probability > UNSURE
         ]
@@ -108,15 +101,14 @@ class Diagnosis:
     @property
     def n_deployed(self) -> int:
         """Number of the causes in the model to be used, which come first."""
-        return len(self.deployed.deployed)
+        return len(self.final.causes) if self.final else 0
 
     @property
     def path(self) -> tuple[Fit, ...]:
         """The fits with the first causes, one per finding; those of the model to be used and of the last are final."""
-        path = list(self.extended.path)
-        if self.final and self.n_deployed:
-            path[self.n_deployed - 1] = self.final.fit
-        return tuple(path)
+        final = {len(fitted.causes): fitted.fit for fitted in (self.extended, self.final) if fitted}
+        numbers = range(1, len(self.causes) + 1)
+        return tuple(final.get(k) or self.extended.with_causes(self.causes[:k]).fit for k in numbers)
 
     @property
     def causes(self) -> list[Cause]:
@@ -193,7 +185,7 @@ def accuracy_table(diagnosis: Diagnosis, data: Measurements, before: Sequence[Ac
 
 def diagnosis_summary(diagnosis: Diagnosis, calibrated: CalibratedModel) -> DiagnosisSummary:
     """Return the figures of `diagnose/summary.json`."""
-    final, first = diagnosis.final or diagnosis.extended.fitted, diagnosis.start
+    final, first = diagnosis.final or diagnosis.extended, diagnosis.start
     sigma = diagnosis.growth.floor if diagnosis.growth else calibrated.device[0].sigma
     if final.noise.sources[0] == "estimated" and not diagnosis.growth:
         sigma = float(np.median(final.noise.sigma[final.noise.of_series(0)]))
@@ -205,8 +197,8 @@ def diagnosis_summary(diagnosis: Diagnosis, calibrated: CalibratedModel) -> Diag
         ),
         intraclass=final.intraclass,
         reduced_chi2_before=first.lack.reduced_chi2 if first.noise.known else None,
-        causes_tested=len({score.cause.place for score in diagnosis.extended.first.scores}),
-        tests=diagnosis.extended.first.family.places,
+        causes_tested=len({score.cause.place for score in diagnosis.first.scores}),
+        tests=diagnosis.first.family.places,
         worst=diagnosis.misfit.region if diagnosis.misfit else None,
         capped=diagnosis.capped,
         noise_doubts=tuple(diagnosis.levels.doubts(first.data, calibrated.noise(first.data)))
@@ -266,41 +258,43 @@ def search_causes(
     searched = extend(
         start, wanted, acceptance, rng("bootstrap"), say, lambda share: advance(BEGUN + share * (SEARCHED - BEGUN))
     )
-    basis = BackgroundBasis.of(start)
-    extended = weighed(start, searched, basis, wanted, Stepwise(acceptance, rng("background"), say, nobody))
+    basis, first = BackgroundBasis.of(start), searched.first
+    search = Stepwise(acceptance, rng("background"), say, nobody)
+    extended, findings = weighed(start, searched, basis, wanted, search)
     advance(SEARCHED)
-    standstills = Standstills.of(extended.fitted, basis)
+    standstills = Standstills.of(extended, basis)
     significance = SHARES["unexplained"] * false_alarm
-    shown = None if other else noise_of_residuals(extended.fitted)
+    shown = None if other else noise_of_residuals(extended)
     # Errors of joints that do not repeat also grow with range: they must be significant beside such noise, and it without them.
     if shown and (shown.p < alarm or len(standstills.joints)):
-        noisier = replace(extended, fitted=extended.fitted.weighed(shown.sigma(train, start.device)))
-        standstills = Standstills.of(noisier.fitted, basis)
+        noisier = extended.weighed(shown.sigma(train, start.device))
+        standstills = Standstills.of(noisier, basis)
         if shown.p < alarm and not standstills.significant(significance):
-            extended, other = noisier, shown.levelled(noisier.fitted)
+            extended, other = noisier, shown.levelled(noisier)
     if other:
         say(f"{other.words}, p = {other.p:.2g}")
     at_rest = [standstills.unexplained(k) for k in standstills.joints]
-    left = unexplained(extended.fitted, significance, rng("decoys"), say, at_rest, standstills.background)
+    left = unexplained(extended, significance, rng("decoys"), say, at_rest, standstills.background)
     every = Catalogue.of(train, have)
-    if catalogue or leave_out:
-        extended = weighed_against(extended, every)
+    if findings and (catalogue or leave_out):
+        findings = weighed_against(findings, FittedTrial(first, extended, every))
     advance(0.8)
-    extended = extended.largest_first()
-    beside = Linearisation.at(extended.fitted, every.effects).beside.scores if left or extended.findings else ()
-    judged = [verdict(finding, every.untestable(finding.cause.id)) for finding in extended.findings]
-    otherwise = judged or other or (extended.fitted.outlier_factor > 1).any()
-    kept = deployed_causes(extended, judged) if otherwise else DeployedCauses(None, ())
+    beside = Linearisation.at(extended, every.effects).beside.scores if left or findings else ()
+    judged = [verdict(finding, every.untestable(finding.cause.id)) for finding in largest_first(findings, extended.fit)]
+    otherwise = judged or other or (extended.outlier_factor > 1).any()
+    final = deployed_model(extended, judged) if otherwise else None
     # The search takes markers of a standstill as independent.
-    kept = replace(kept, fitted=kept.fitted and kept.fitted.sharing())
-    for suspect in kept.suspected:
+    final = final and final.sharing()
+    in_use = final.causes if final else ()
+    deployed = [verdict for verdict in judged if verdict.finding.cause in in_use]
+    suspects = [verdict for verdict in judged if verdict.finding.cause not in in_use]
+    for suspect in suspects:
         say(f"{words(suspect.finding.cause)} remains a suspicion: it does not help at poses left out")
-    ordered = tuple(verdict.finding for verdict in (*kept.deployed, *kept.suspected))
-    extended = replace(extended, findings=ordered)
-    in_reach = models_in_reach(
-        extended.fitted, extended.findings, beside, every, [suspect.finding for suspect in kept.suspected]
-    )
-    return Diagnosis(start, extended, kept, suspected(left, beside), other, wanted, acceptance.false_alarm,
-                     misfit(extended.fitted, rng("misfit")), capped=len(ordered) >= causes,
-                     alternatives=fitted_alternatives(kept.deployed, extended.fitted, kept.suspected, in_reach),
-                     in_reach=in_reach)  # fmt: skip
+    ordered = (*deployed, *suspects)
+    findings = tuple(verdict.finding for verdict in ordered)
+    in_reach = models_in_reach(extended, findings, beside, every, findings[len(deployed) :])
+    return Diagnosis(
+        start, first, extended, final, ordered, suspected(left, beside), other, wanted, acceptance.false_alarm,
+        misfit(extended, rng("misfit")), capped=len(ordered) >= causes,
+        alternatives=fitted_alternatives(deployed, extended, suspects, in_reach), in_reach=in_reach,
+    )  # fmt: skip

@@ -34,7 +34,7 @@ from calflow.diagnosis.form_error import farthest, with_form_errors
 from calflow.diagnosis.regressors import Place
 from calflow.diagnosis.screening import Catalogue, Score, Screening, by_place
 from calflow.diagnosis.stepwise import REACH, SPLIT, CauseAcceptance, Stepwise, second_thoughts, words
-from calflow.diagnosis.trial import Detection, Linearisation, Screened, Trial, is_new
+from calflow.diagnosis.trial import Detection, Linearisation, Trial, is_new
 from calflow.effects.cause import Cause
 from calflow.estimation.fit import Fit
 from calflow.estimation.progress import Advance, nobody
@@ -148,9 +148,9 @@ class FittedTrial(Trial[Cause]):
         return replace(finding, scores=tuple(sorted([*others, *rivals], key=lambda score: score.cost)))
 
     @property
-    def extended(self) -> Extended:
-        """Its model with its findings, their rivals weighed with form errors, which takes some linearisations for each."""
-        findings = (
+    def weighed_findings(self) -> tuple[Detection[Cause], ...]:
+        """Its findings, their rivals weighed with form errors, which takes some linearisations for each."""
+        return tuple(
             with_form_errors(
                 self._with_rivals_alone(finding, farthest(finding.cost)),
                 self.fitted,
@@ -158,40 +158,9 @@ class FittedTrial(Trial[Cause]):
             )
             for finding in self._linear_findings
         )
-        return Extended(self.fitted, tuple(findings), self.first)
 
     def _finer(self, cause: Cause) -> list[Cause]:
         return [replace(cause, effect=effect) for effect in cause.effect.finer(self.fitted.data)]
-
-
-@dataclass(frozen=True)
-class Extended:
-    """The extended model, its findings, and the first screening."""
-
-    fitted: Fitted
-    findings: tuple[Detection[Cause], ...]
-    first: Screened[Cause]
-
-    @cached_property
-    def path(self) -> tuple[Fit, ...]:
-        """The fits with the first causes, one per finding, fitted where the search has none, and the last."""
-        causes = [finding.cause for finding in self.findings]
-        shorter = [self.fitted.with_causes(causes[:k]).fit for k in range(1, len(causes))]
-        return (*shorter, self.fitted.fit) if causes else ()
-
-    def largest_first(self) -> Extended:
-        """Return a copy with the findings sorted by the increase of chi² without each, under independent noise.
-
-        The order of the search differs: beside a background, or after an exchange of causes, a large one may come late.
-        """
-        fit = self.fitted.fit
-
-        def explained(finding: Detection[Cause]) -> float:
-            columns = [k for k in fit.model.columns(finding.cause) if not fit.at_bound[k]]
-            value = fit.estimate[columns]
-            return float(value @ np.linalg.solve(fit.covariance[np.ix_(columns, columns)], value))
-
-        return replace(self, findings=tuple(sorted(self.findings, key=explained, reverse=True)))
 
 
 def extend(
@@ -210,13 +179,24 @@ def extend(
     return cast(FittedTrial, Stepwise(acceptance, rng, say, advance).best(FittedTrial(first, start, catalogue)))
 
 
-def weighed_against(extension: Extended, catalogue: Catalogue) -> Extended:
+def weighed_against(findings: Sequence[Detection[Cause]], wider: FittedTrial) -> tuple[Detection[Cause], ...]:
     """Return the findings with a wider catalogue's candidates as rivals: a cause excluded from the search may be the true one."""
-    if not extension.findings:
-        return extension
-    wider = FittedTrial(extension.first, extension.fitted, catalogue).extended
-    scores = {finding.cause: finding.scores for finding in wider.findings}
-    return replace(extension, findings=tuple(replace(f, scores=scores[f.cause]) for f in extension.findings))
+    scores = {finding.cause: finding.scores for finding in wider.weighed_findings}
+    return tuple(replace(finding, scores=scores[finding.cause]) for finding in findings)
+
+
+def largest_first(findings: Sequence[Detection[Cause]], fit: Fit) -> list[Detection[Cause]]:
+    """Return the findings sorted by the increase of chi² without each, under independent noise.
+
+    The order of the search differs: beside a background, or after an exchange of causes, a large one may come late.
+    """
+
+    def explained(finding: Detection[Cause]) -> float:
+        columns = [k for k in fit.model.columns(finding.cause) if not fit.at_bound[k]]
+        value = fit.estimate[columns]
+        return float(value @ np.linalg.solve(fit.covariance[np.ix_(columns, columns)], value))
+
+    return sorted(findings, key=explained, reverse=True)
 
 
 def unnamed(
@@ -258,11 +238,11 @@ def _relative_amplitudes(
 
 def weighed(
     start: Fitted, first: FittedTrial, basis: BackgroundBasis, catalogue: Catalogue, search: Stepwise
-) -> Extended:
-    """Return the extension of start after alternating between the causes found first and background until both agree.
+) -> tuple[Fitted, tuple[Detection[Cause], ...]]:
+    """Return the extended model and its findings, after alternating between the causes found first and background.
 
-    Causes that the background explains better, or that do not carry over, are dropped, and the search continues from the others
-    until nothing that it finds is left beside those that it began from.
+    start is the model without them. Causes that the background explains better, or that do not carry over, are dropped, and the
+    search continues from the others until nothing that it finds is left beside those that it began from.
     """
     begin, found = FittedTrial(first.first, start, catalogue), first.fitted
     searched, judged = set[frozenset[Cause]](), set[frozenset[Cause]]()
@@ -300,11 +280,10 @@ def weighed(
             break
     against = unnamed(ended.fitted, basis, catalogue.variants, varying=uneven_or_other_forms)
     carries = dict(zip(against, carrying(ended.fitted, basis, against), strict=True)) if against else {}
-    findings = (
+    return ended.fitted, tuple(
         replace(finding, unnamed=against[finding.cause], carries_over=carries[finding.cause])
-        for finding in ended.extended.findings
+        for finding in ended.weighed_findings
     )
-    return Extended(ended.fitted, tuple(findings), begin.first)
 
 
 def _named_instead(trial: FittedTrial, basis: BackgroundBasis, search: Stepwise) -> Cause | None:

@@ -308,7 +308,7 @@ def findings(
     calibrated is the identified model, against which gains count, as in accuracy.csv. While a mistake of the user is unsettled,
     residuals reveal no more than that, and the faults are the only findings.
     """
-    heldout, final = data.only(data.held_out), diagnosis.extended.fitted
+    heldout, final = data.only(data.held_out), diagnosis.extended
     rows = [_fault(group) for _, group in faults.groupby(["cause", "joint", "action", "statement"], sort=False)]
     if (faults["action"] == "unsettled").any():
         return tuple(rows)

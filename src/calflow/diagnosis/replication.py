@@ -72,18 +72,10 @@ class CarriedAccuracy:
     heldout_mean_mm: float = column("mean error at these rows", "mm")
 
 
-@dataclass(frozen=True)
-class Confirmation:
-    """The comparison with the other series, as tables: curves of `ConfirmedPoint`s, table of `ConfirmedCause`s, and
-    accuracy of `CarriedAccuracy`."""
-
-    curves: pd.DataFrame
-    table: pd.DataFrame
-    accuracy: pd.DataFrame
-
-
-def confirm(calibrated: Fitted, other: Measurements) -> Confirmation:
+def confirm(calibrated: Fitted, other: Measurements) -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame]:
     """Fit the same effects to another series alone, and compare each joint error's curve over the common travel.
+
+    The tables are of `ConfirmedCause`s, of `ConfirmedPoint`s, and of `CarriedAccuracy`.
 
     Args:
         calibrated: the extended model on the first series.
@@ -107,7 +99,6 @@ def confirm(calibrated: Fitted, other: Measurements) -> Confirmation:
         row, curve = _compared(cause, calibrated, matching.get(cause), alone, train)
         rows.append(row)
         curves += [curve] if curve is not None else []
-    table = to_frame(rows, ConfirmedCause)
     values = [tuple(map(float, calibrated.fit.estimate[calibrated.model.columns(cause)])) for cause in causes]
     carried = fitted((*plain, *(Carried(robot, cause, v) for cause, v in zip(causes, values, strict=True))))
     heldout = other.only(other.held_out & _covered(calibrated, causes, other))
@@ -118,7 +109,7 @@ def confirm(calibrated: Fitted, other: Measurements) -> Confirmation:
     ]
     accuracy = [CarriedAccuracy(model=name, n=len(heldout), heldout_mean_mm=_mean(fit, heldout)) for name, fit in steps]
     together = pd.concat(curves, ignore_index=True) if curves else to_frame((), ConfirmedPoint)
-    return Confirmation(together, table, to_frame(accuracy, CarriedAccuracy))
+    return to_frame(rows, ConfirmedCause), together, to_frame(accuracy, CarriedAccuracy)
 
 
 def curve(cause: Cause, values: np.ndarray, angle: np.ndarray) -> np.ndarray:

@@ -21,7 +21,6 @@ import casadi as ca
 import numpy as np
 import scipy
 
-from calflow.diagnosis.extension import Extended
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import H, Hypothesis, Place
 from calflow.diagnosis.screening import Catalogue, Score
@@ -410,34 +409,26 @@ def same_quantities(cause: Cause, other: Cause) -> bool:
     return first == second
 
 
-@dataclass(frozen=True)
-class DeployedCauses:
-    """The model to be used (None: the identified one), the verdicts on its causes, and on those left out."""
-
-    fitted: Fitted | None
-    deployed: tuple[Verdict, ...]
-    suspected: tuple[Verdict, ...] = ()
-
-
-def deployed_causes(extended: Extended, verdicts: Sequence[Verdict]) -> DeployedCauses:
+def deployed_model(extended: Fitted, verdicts: Sequence[Verdict]) -> Fitted | None:
     """Return the model without those uncertain causes of the robot that do not lower the leave-one-pose-out error.
+
+    None where no cause is left: the identified model is then used as it is.
 
     Args:
         extended: the model with all causes.
         verdicts: the verdicts on its causes, the one that explains most first; they are tried from the last.
     """
-    now = DeployedCauses(extended.fitted, tuple(verdicts))
-    misses = extended.fitted.left_out.of_new_measurements
+    used: Fitted | None = extended
+    deployed, misses = verdicts, extended.left_out.of_new_measurements
     of_robot = [verdict for verdict in reversed(verdicts) if not verdict.finding.cause.of_measuring()]
-    for doubtful in [verdict for verdict in of_robot if not is_certain(verdict, extended.fitted)]:
-        stay = tuple(verdict for verdict in now.deployed if verdict is not doubtful)
-        fewer = extended.fitted.with_causes([verdict.finding.cause for verdict in stay])
+    for doubtful in [verdict for verdict in of_robot if not is_certain(verdict, extended)]:
+        stay = [verdict for verdict in deployed if verdict is not doubtful]
+        fewer = extended.with_causes([verdict.finding.cause for verdict in stay])
         # Without any cause the model is the identified one, as identify fits it.
         misses_then = (fewer if stay else fewer.sharing()).left_out.of_new_measurements
         if misses_then <= misses:
-            now = DeployedCauses(fewer if stay else None, stay, (doubtful, *now.suspected))
-            misses = misses_then
-    return now
+            used, deployed, misses = fewer if stay else None, stay, misses_then
+    return used
 
 
 def is_certain(verdict: Verdict, fitted: Fitted) -> bool:

@@ -111,8 +111,8 @@ def _diagnosed_step(
     )  # fmt: skip
     diagnosing = study.validated_settings("diagnose", DiagnoseSettings).model_dump()
     search = search_causes(first.known, first.data, **diagnosing, rng=rng)
-    bare = replace(search.extended.fitted.model, given=())
-    planned = planned_like(search.extended.fitted, fitted_share(first.data))
+    bare = replace(search.extended.model, given=())
+    planned = planned_like(search.extended, fitted_share(first.data))
     asked = request_of(study, settings, bare, planned, rng("task"))
     marker = settings.marker or next(iter(study.robot.markers))
     task, notes = asked.task, data.notes

@@ -10,7 +10,7 @@ import numpy as np
 
 from calflow.deployment.run_outcome import RunOutcome
 from calflow.deployment.usability import mistake_unsettled
-from calflow.design.discrimination import ENOUGH, SeparationRow, no_pose_words
+from calflow.design.discrimination import ENOUGH, SeparationRow
 from calflow.diagnosis import FALSE_ALARM
 from calflow.diagnosis.cause_tables import CandidateRow
 from calflow.diagnosis.findings import Finding
@@ -249,9 +249,7 @@ def apart(finding: Finding, outcome: RunOutcome) -> list[str]:
         if (row.cause, row.joint) != (finding.cause, finding.joint):
             continue
         if row.chance_after < ENOUGH:
-            after = row.separation_after_sd if row.tested else None
-            why = no_pose_words(cause_words(row.cause).name, cause_words(row.rival).name, after, row.unasked)
-            sentences.append(f"{first_up(why)}: {row.means}.")
+            sentences.append(f"{first_up(row.words)}.")
             continue
         by_poses.setdefault("The poses of diagnose/next_poses.csv" if row.proposed else "Further poses", []).append(row)
     for poses, rows in by_poses.items():
