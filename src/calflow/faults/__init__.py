@@ -8,6 +8,7 @@ from functools import reduce
 from pathlib import Path
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from calflow.faults.base import Correction, Fault, FaultyRow, correct
 from calflow.faults.duplicate import duplicate
@@ -38,6 +39,7 @@ DEFINITE_CHECKS: tuple[Check, ...] = (exchanged, row_misalignment, encoder_turn,
 CHECKS: tuple[Check, ...] = (*DEFINITE_CHECKS, setup_faults, lost_rows, outlier)
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")  # an arm's matrices are too small for threads to pay
 def examined(data: Measurements, paths: Sequence[Path] = ()) -> tuple[Measurements, tuple[Fault, ...]]:
     """Return the rows with faults corrected or excluded, and the faults; paths: the series' files (none: from arrays).
 
@@ -50,18 +52,20 @@ def examined(data: Measurements, paths: Sequence[Path] = ()) -> tuple[Measuremen
             produced: poses beyond its limits, or positions far out of its reach.
     """
     data, faults, setup = _searched(data)
-    problems: list[Problem] = []
-    for past, message in past_limits(data):
-        series = data.series_number[past]
-        problems += [Problem(message, paths[k] if paths else None) for k in dict.fromkeys(map(int, series))]
+
+    def problems_of(rows: np.ndarray, message: str) -> list[Problem]:
+        series = dict.fromkeys(data.series_number[rows].tolist())
+        return [Problem(message, paths[k] if paths else None) for k in series]
+
+    problems = [problem for rows, message in past_limits(data) for problem in problems_of(rows, message)]
     if problems:  # possible reasons: an unsettled mistake, or a joint whose readings were all corrected
         why = [fault for fault in faults if fault.action == "unsettled" or (fault.joint and not fault.lines)]
         problems = [*(Problem(fault.statement) for fault in why), *problems]
-    if not problems and setup and (message := nominal_misfit(setup)):
-        first = int(data.series_number[is_position(data)][0])
-        problems.append(Problem(message, paths[first] if paths else None))
-    if not problems and "length" in data.table and not unsettled(faults):
-        problems += [Problem(message, paths[k] if paths else None) for k, message in lengths_in_other_units(data)]
+    elif setup and (message := nominal_misfit(setup)):
+        problems = problems_of(np.flatnonzero(is_position(data))[:1], message)
+    elif "length" in data.table and not unsettled(faults):
+        others = lengths_in_other_units(data)
+        problems = [problem for rows, message in others for problem in problems_of(rows, message)]
     refuse_any(problems)
     return data, faults
 

@@ -121,7 +121,7 @@ def nominal_misfit(setup: Setup) -> str:
 
     Half of all rows must deviate more than any robot can, so that single rows do not decide.
     """
-    if setup.poses < MIN_POSES:
+    if len(setup.seen) < MIN_POSES:
         return ""
     far = float(np.median(setup.rigid.fitted.error))
     reach = float(np.nanmax(np.linalg.norm(setup.points(), axis=1)))
@@ -136,8 +136,8 @@ def nominal_misfit(setup: Setup) -> str:
     )
 
 
-def lengths_in_other_units(data: Measurements) -> Iterator[tuple[int, str]]:
-    """Yield each series of lengths that the nominal robot misses by far in half of the rows, but not in another unit, and why.
+def lengths_in_other_units(data: Measurements) -> Iterator[tuple[np.ndarray, str]]:
+    """Yield the rows (n_rows,) of lengths that the nominal robot misses by far in half of them, but not in another unit, and why.
 
     What is touched is placed by its rows.
     """
@@ -145,7 +145,10 @@ def lengths_in_other_units(data: Measurements) -> Iterator[tuple[int, str]]:
     for k in map(int, np.flatnonzero(far > IMPLAUSIBLE_ERROR)):
         if unit := _other_unit(data, k, SHAPE_RIGHT * far[k]):
             name = data.series[k].name or data.series[k].kind
-            yield k, f"the lengths of '{name}' are in {unit}: the nominal robot fits them far better then"
+            yield (
+                data.of_series(k),
+                f"the lengths of '{name}' are in {unit}: the nominal robot fits them far better then",
+            )
 
 
 def _other_unit(data: Measurements, k: int, limit: float) -> str:

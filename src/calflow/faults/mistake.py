@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import combinations, permutations
 
 import numpy as np
@@ -398,7 +398,9 @@ class LinkDimensions:
         """Yield lengths and zeros with an arbitrary value."""
         for k in (*self.lengths, *self.turns):
             joint, log_prior = self.parameters[k].joint, LOG_ODDS + ARBITRARY
-            yield Mistake("figure-mistyped", joint, _freed_from(k, self._changes(k)), self._mistyped(k), log_prior)
+            yield Mistake(
+                "figure-mistyped", joint, _freed_from(k, self._changes(k)), partial(self._mistyped, k), log_prior
+            )
 
     def _changes(self, k: int) -> np.ndarray:
         """Return changes of a dimension (n,) [m or rad], one of which brings a wrong one near its right value."""
@@ -407,13 +409,10 @@ class LinkDimensions:
         reach = float(np.ptp(self.setup.position, axis=0).max())
         return np.append(np.linspace(-reach, reach, TRIED) - self.parameters[k].figure, 0.0)
 
-    def _mistyped(self, k: int) -> Callable[[FittedSetup], str]:
-        def words(explanation: FittedSetup) -> str:
-            right, typed = explanation.figure(self.parameters[k]), self.parameters[k].figure
-            slip = _slip(typed, right) if self.parameters[k].unit == "m" else ""
-            return f"{self._name(k)} is mistyped{slip}; {self._stated(k, right, 'about ')}"
-
-        return words
+    def _mistyped(self, k: int, explanation: FittedSetup) -> str:
+        right, typed = explanation.figure(self.parameters[k]), self.parameters[k].figure
+        slip = _slip(typed, right) if self.parameters[k].unit == "m" else ""
+        return f"{self._name(k)} is mistyped{slip}; {self._stated(k, right, 'about ')}"
 
     def markers(self) -> Iterator[Mistake]:
         """Yield markers with a wrong stated position."""
@@ -421,19 +420,16 @@ class LinkDimensions:
             columns = [k for k in self.setup.stated if self.parameters[k].part == name]
             if columns:
                 log_prior = 3 * ANYWHERE + LOG_ODDS
-                yield Mistake("marker-elsewhere", 0, _freed(*columns), self._marker(name, columns), log_prior)
+                yield Mistake("marker-elsewhere", 0, _freed(*columns), partial(self._marker, name, columns), log_prior)
 
-    def _marker(self, name: str, columns: list[int]) -> Callable[[FittedSetup], str]:
-        def words(explanation: FittedSetup) -> str:
-            right = np.array([explanation.figure(self.parameters[k]) for k in columns])
-            typed = np.array([self.parameters[k].figure for k in columns])
-            far = np.linalg.norm(right - typed)
-            other_axes = np.abs(np.sort(np.abs(right)) - np.sort(np.abs(typed))).max() < max(TYPO, 0.2 * far)
-            axes = "on another axis" if other_axes else f"{rounded(1e3 * float(far))} mm off"
-            expected = f"expected about point_mm = [{_mm(right)}] in the robot file, found [{_mm(typed)}]"
-            return f"marker {name} is mistyped, {axes}; {expected}"
-
-        return words
+    def _marker(self, name: str, columns: list[int], explanation: FittedSetup) -> str:
+        right = np.array([explanation.figure(self.parameters[k]) for k in columns])
+        typed = np.array([self.parameters[k].figure for k in columns])
+        far = np.linalg.norm(right - typed)
+        other_axes = np.abs(np.sort(np.abs(right)) - np.sort(np.abs(typed))).max() < max(TYPO, 0.2 * far)
+        axes = "on another axis" if other_axes else f"{rounded(1e3 * float(far))} mm off"
+        expected = f"expected about point_mm = [{_mm(right)}] in the robot file, found [{_mm(typed)}]"
+        return f"marker {name} is mistyped, {axes}; {expected}"
 
     def pounds(self) -> Iterator[Mistake]:
         """Yield payloads stated in pounds."""

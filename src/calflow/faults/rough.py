@@ -14,7 +14,6 @@ PLACED_SD = 0.5  # m and rad: prior of base and tool, practically none
 NORMAL_LENGTH = 1.5382  # median length of a vector of three standard normals
 WIDTH = 2.5  # robust standard deviations at which a row has half weight
 LINEARISED, REWEIGHTED = 12, 8  # linearisations, and reweightings in each
-BLOCK = 60  # equations in a block of matrix products
 SETTLED = 0.02  # largest motion of a row in the last round, in standard deviations
 TINY = 1e-9  # m: below it errors are rounding
 OPEN_LOOP_ERROR = 1e3  # m: counted where a loop cannot be closed
@@ -118,18 +117,17 @@ def robust_fit(
         left = measured - position
         there = np.isfinite(left).all(axis=1) & np.isfinite(jacobian).all(axis=(1, 2))
         jacobian, left = jacobian[there], left[there]
-        scaled = _blocks((jacobian[:, :, every] * sd[every]).reshape(left.size, len(every)))
+        scaled = (jacobian[:, :, every] * sd[every]).reshape(left.size, len(every))
         aside, scale, error = (mean - estimate)[every] / sd[every], _scale(left, 0.0), left
         step, acting = np.zeros(len(every)), free
         moving = np.ix_(acting, acting)
         for _ in range(REWEIGHTED):
             weight = np.repeat(1 / (1 + (lengths(error) / (WIDTH * scale)) ** 2) / scale**2, 3)
-            weighted = scaled * _blocks(weight[:, None])
-            data_only = (weighted.transpose(0, 2, 1) @ scaled).sum(axis=0)
-            gradient = (weighted.transpose(0, 2, 1) @ _blocks(left.reshape(-1, 1))).sum(axis=0)[:, 0] + aside
+            weighted = scaled * weight[:, None]
+            data_only, gradient = weighted.T @ scaled, weighted.T @ left.ravel() + aside
             information = data_only + np.eye(len(every))
             step[acting] = np.linalg.solve(information[moving], gradient[acting])
-            moved = (scaled @ step).ravel()[: left.size].reshape(left.shape)
+            moved = (scaled @ step).reshape(left.shape)
             error = left - moved
             scale = _scale(error, np.trace(np.linalg.solve(information[moving], data_only[moving])) / left.size)
         estimate = estimate.copy()
@@ -208,16 +206,6 @@ def lengths(vectors: np.ndarray) -> np.ndarray:
 def level(error: np.ndarray) -> np.ndarray:
     """Return the geometric mean of errors (…, n_rows): several outliers count, a single one does not decide."""
     return np.asarray(np.exp(np.log(np.minimum(error, OPEN_LOOP_ERROR) + TINY).mean(axis=-1)))
-
-
-def _blocks(rows: np.ndarray) -> np.ndarray:
-    """Return rows (n_rows, n) in blocks (n_blocks, BLOCK, n), padded with zeros.
-
-    Products of blocks are too small for several threads, whose overhead would exceed the gain on a busy machine.
-    """
-    filled = np.zeros((-(-len(rows) // BLOCK) * BLOCK, rows.shape[1]))
-    filled[: len(rows)] = rows
-    return filled.reshape(-1, BLOCK, rows.shape[1])
 
 
 def _scale(left: np.ndarray, determined: float) -> float:

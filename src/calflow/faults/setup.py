@@ -21,7 +21,7 @@ from calflow.effects.geometry import DimensionError, Geometry
 from calflow.effects.misstated_payload import PayloadMass
 from calflow.estimation.registration import marker_places, marker_shifts, with_markers
 from calflow.faults.rough import PLACED_SD, WIDTH, Prior, RobustFit, lengths, level, motion, robust_fit
-from calflow.files.deferred import Rotation, pd
+from calflow.files.deferred import Rotation
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 from calflow.robot.frames import FrameOrigin, rpy_of, vector
@@ -43,44 +43,37 @@ class AllDimensions(Geometry):
     @cached_property
     def errors(self) -> tuple[DimensionError, ...]:
         """The errors of all dimensions; those that are no parameters of the geometry have no prior uncertainty."""
-        free = {error.parameter.identity: error for error in super().errors}
-        return tuple(free.values()) + tuple(
-            error for error in _every_step(self.robot) if error.parameter.identity not in free
-        )
-
-
-def _every_step(robot: Robot) -> list[DimensionError]:
-    return [
-        DimensionError(
-            Parameter(Geometry.id, f"joint{i + 1}", step.symbol, step.unit, 0.0, -np.inf, np.inf, figure=step.value,
-                      joint=i + 1),
-            "steps", robot.step_index(i, step.symbol),
-        )
-        for i, frame in enumerate(robot.frames)
-        for step in frame.steps
-    ]  # fmt: skip
+        free = {error.parameter.identity for error in super().errors}
+        steps = [(i, step) for i, frame in enumerate(self.robot.frames) for step in frame.steps]
+        every = (
+            DimensionError(
+                Parameter(self.id, f"joint{i + 1}", step.symbol, step.unit, 0.0, -np.inf, np.inf, figure=step.value,
+                          joint=i + 1),
+                "steps", self.robot.step_index(i, step.symbol),
+            )
+            for i, step in steps
+        )  # fmt: skip
+        return (*super().errors, *(error for error in every if error.parameter.identity not in free))
 
 
 @dataclass(frozen=True)
 class Setup:
     """A model with a prior, and some rows: packed conditions (n_conditions, n_rows) and positions (n_rows, 3) [m].
 
-    numbers (n_rows,): indices of the rows; poses: their number of poses; independent: number of rows with independent
-    errors (a pose error has six degrees of freedom, those of two markers). turn (3, 3), origin (3,): the stated base
-    pose, None if unknown; stated: indices of the parameters of stated base and marker positions. magnification: of the
-    positions against the table's, of all rows or each.
+    turn (3, 3), origin (3,): the stated base pose, None if unknown; stated: indices of the parameters of stated base and
+    marker positions. numbers (n_rows,): indices of the rows; seen (n_poses,): number of markers at each of their poses;
+    magnification: of the positions against the table's, of all rows or each.
     """
 
     model: Model
     prior: Prior
     stated: tuple[int, ...]
+    turn: np.ndarray | None
+    origin: np.ndarray | None
     conditions: np.ndarray
     position: np.ndarray
     numbers: np.ndarray
-    poses: int
-    independent: int
-    turn: np.ndarray | None
-    origin: np.ndarray | None
+    seen: np.ndarray
     magnification: float | np.ndarray = 1.0
 
     @staticmethod
@@ -91,24 +84,16 @@ class Setup:
         origin = np.array(base.origin) if base.known else None
         model = _model(with_markers(data.robot, data.only(data.train)), data.given, beside)
         prior, stated = _prior(model, base.known)
-        return Setup(model, prior, stated, *_training_rows(data), turn, origin)
+        return Setup(model, prior, stated, turn, origin, *_at(data, _training_rows(data)))
 
     def on(self, data: Measurements) -> Setup:
         """Return the set-up with some training rows of other data of the robot."""
-        conditions, position, numbers, poses, independent = _training_rows(data)
-        return replace(
-            self, conditions=conditions, position=position, numbers=numbers, poses=poses, independent=independent
-        )
+        return self.at(data, _training_rows(data))
 
     def at(self, data: Measurements, rows: np.ndarray) -> Setup:
         """Return the set-up with given rows (n_rows,) of data."""
-        return replace(
-            self,
-            conditions=data.conditions[:, rows],
-            position=data.position[rows],
-            numbers=rows,
-            independent=int(_markers_seen(data.table.iloc[rows]).clip(upper=2).sum()),
-        )
+        conditions, position, numbers, seen = _at(data, rows)
+        return replace(self, conditions=conditions, position=position, numbers=numbers, seen=seen)
 
     def differs_from(self, other: Setup) -> np.ndarray:
         """Return which rows (n_rows,) differ in readings or payload from another set-up with the same rows."""
@@ -243,21 +228,15 @@ def _with_dimensions(robot: Robot, figures: Mapping[tuple[int, str], float]) -> 
     return replace(robot, joints=tuple(joints))
 
 
-def _training_rows(data: Measurements) -> tuple[np.ndarray, np.ndarray, np.ndarray, int, int]:
-    """Return conditions, positions, numbers, poses and independent rows of some training rows, for a set-up.
-
-    They are chosen at random, since markers or payloads may alternate.
-    """
-    chosen = np.zeros(len(data), dtype=bool)
-    chosen[np.random.default_rng(0).permutation(np.flatnonzero(data.train))[:ROWS]] = True
-    few = data.only(chosen)
-    markers = _markers_seen(few.table)
-    return few.conditions, few.position, np.flatnonzero(chosen), len(markers), int(markers.clip(upper=2).sum())
+def _training_rows(data: Measurements) -> np.ndarray:
+    """Return some training rows (n_rows,), chosen at random, since markers or payloads may alternate."""
+    return np.sort(np.random.default_rng(0).permutation(np.flatnonzero(data.train))[:ROWS])
 
 
-def _markers_seen(rows: pd.DataFrame) -> pd.Series:
-    """Return the number of markers seen at each pose."""
-    return rows.groupby("pose")["marker"].nunique()
+def _at(data: Measurements, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return the conditions, positions and numbers of given rows, and how many markers are seen at each of their poses."""
+    seen = data.table.iloc[rows].groupby("pose")["marker"].nunique().to_numpy()
+    return data.conditions[:, rows], data.position[rows], rows, seen
 
 
 @dataclass(frozen=True)
@@ -280,7 +259,8 @@ class FittedSetup:
             return -np.inf
         scale, tail = np.hypot(self.fit.scale, PHYSICS) / self.setup.magnification, WIDTH**2
         surprise = 3 * np.log(scale) + (tail + 3) / 2 * np.log1p((np.minimum(self.error, 1e3) / scale) ** 2 / tail)
-        share = self.setup.independent / len(self.error)
+        # A pose error has six degrees of freedom, those of two markers.
+        share = self.setup.seen.clip(max=2).sum() / len(self.error)
         return float(-share * surprise.sum())
 
     @property

@@ -55,7 +55,7 @@ def setup_faults(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
         InputError: the user must settle it, and no fit can absorb it.
     """
     setup, as_read = reference.setup, reference.setup.fitted
-    if setup.poses < MIN_POSES:
+    if len(setup.seen) < MIN_POSES:
         return ()
     of_figures, of_changes, of_loads = [], [], [*loads_late(data, as_read)]
     if as_read.suspicious:
