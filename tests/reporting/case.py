@@ -306,7 +306,8 @@ def _separations(told: list[Found], number: int) -> pd.DataFrame:
     rows = [
         SeparationRow(cause=one.cause, joint=one.joint or None, rival=other, rival_joint=joint, separation_before_sd=1.2,
                       separation_after_sd=6.5 if number else 0.0, chance_after=0.99 if number else 0.0,
-                      words="what to do" if number else NO_POSE, proposed=number > 0, tested=number > 0, means="" if number else "log each joint's travel")
+                      words="what to do" if number else NO_POSE, proposed=number > 0, tested=number > 0,
+                      means="" if number else "log each joint's travel")
         for one in told for other, joint in one.others
     ]  # fmt: skip
     return to_frame(rows, SeparationRow)
