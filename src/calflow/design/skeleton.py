@@ -106,15 +106,11 @@ class Skeleton:
     @classmethod
     def of(cls, robot: Robot, readings: np.ndarray, marker: str) -> Self:
         """Return the skeletons at joint readings (n, n_joints) [rad, or m]."""
-        points = _function(robot, marker)
-        (values,) = over_rows(points, np.zeros(0), np.asarray(readings @ robot.reading_matrix.T).T)
-        every = values.T.reshape(len(readings), -1, 3)
-        n = robot.n_joints
-        ends = np.cumsum([n + len(robot.tips) + 3, n, 3])
-        nodes, axes, flange, bars = np.split(every, ends, axis=1)
-        return cls(
-            skeleton_lines(robot, robot.link(robot.markers[marker].on)), nodes, axes, np.swapaxes(flange, 1, 2), bars
-        )
+        points, lines = _function(robot, marker), skeleton_lines(robot, robot.link(robot.markers[marker].on))
+        every = over_rows(points, np.zeros(0), np.asarray(readings @ robot.reading_matrix.T).T)
+        shapes = [(len(readings), points.size2_out(k), 3) for k in range(len(every))]
+        nodes, axes, flange, bars = (part.T.reshape(shape) for part, shape in zip(every, shapes, strict=True))
+        return cls(lines, nodes, axes, flange.transpose(0, 2, 1), bars)
 
     def part(self, which: np.ndarray) -> Self:
         """Return the skeletons of a subset of poses, given by indices or a mask (n,)."""
@@ -131,15 +127,13 @@ def line_lengths(robot: Robot) -> np.ndarray:
 
 def reflector(robot: Robot, marker: str, q: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Return the expressions of the marker (3,) and its flange's orientation (3, 3) at driven joint angles q (n_joints,)."""
-    point = _function(robot, marker)(ca.SX(0, 1), q)
-    nodes = 3 * (robot.n_joints + len(robot.tips) + 3)
-    turn = nodes + 3 * robot.n_joints
-    return point[nodes - 3 : nodes], ca.reshape(point[turn : turn + 9], 3, 3)
+    nodes, _, flange, _ = _function(robot, marker)(ca.SX(0, 1), q)
+    return nodes[:, -1], flange
 
 
 @lru_cache(maxsize=16)
 def _function(robot: Robot, marker: str) -> ca.Function:
-    """Return the function from driven joint angles to all points and directions, concatenated."""
+    """Return the function from driven joint angles to nodes (3, n_nodes), axes (3, n_joints), flange (3, 3), bars (3, 3 or 0)."""
     q = ca.SX.sym("q", robot.n_joints)
     at = nominal_posture(robot, q)
     stands = at.links[robot.ground - 1][:3, :3].T if robot.ground else ca.SX.eye(3)
@@ -151,6 +145,7 @@ def _function(robot: Robot, marker: str) -> ca.Function:
         bars = [crank[:3, 3], rod[:3, 3], rod[:3, 3] + robot.loop.rod.length * rod[:3, 0]]
     places = [at.ends[0], *at.joints, *(at.frame(robot, tip) for tip in robot.tips), flange]
     nodes = [at.grounded(robot, point) for point in (*(place[:3, 3] for place in places), reflector)]
-    turned = [stands @ axis for axis in (*(joint[:3, 2] for joint in at.joints), *ca.horzsplit(flange[:3, :3]))]
-    points = [at.grounded(robot, point) for point in bars]
-    return ca.Function("skeleton", [ca.SX.sym("p", 0), q], [ca.densify(ca.vertcat(*nodes, *turned, *points))])
+    axes = [stands @ joint[:3, 2] for joint in at.joints]
+    pins = [ca.SX(3, 0), *(at.grounded(robot, point) for point in bars)]
+    every = (ca.horzcat(*nodes), ca.horzcat(*axes), stands @ flange[:3, :3], ca.horzcat(*pins))
+    return ca.Function("skeleton", [ca.SX.sym("p", 0), q], [ca.densify(part) for part in every])

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain, combinations, starmap
+from itertools import chain, combinations
 from types import MappingProxyType
 from typing import Generic, Literal
 
@@ -228,6 +228,7 @@ class Untested:
 
 
 Change = Literal["found", "without", "instead", "besides", "several"]
+Others = list[tuple[Cause | Untested | None, float]]  # what may come, None: nothing, with its log odds
 
 
 @dataclass(frozen=True)
@@ -269,19 +270,17 @@ def models_in_reach(
 
     models = [ModelInReach(final.causes, "found", log_prior(final.causes), 0.0)]
     # The prior of a form is in the evidence already, that of a place is not.
-    besides = [
-        _Choice("besides", None, score.cause, -score.cost / 2 - places)
-        for score in beside
-        if score.cause.n_parameters <= MANY
-    ]
-    for choices in (*(_in_its_place(finding, catalogue) for finding in findings), besides):
-        near = [(model, one) for model in models for one in choices if model.log_weight + one.log_weight > -REACH]
-        models += [changed for changed in starmap(_changed, near) if _differ(changed.causes)]
+    besides: Others = [(score.cause, -score.cost / 2 - places) for score in beside if score.cause.n_parameters <= MANY]
+    instead = [(finding.cause, _in_its_place(finding, catalogue)) for finding in findings]
+    for goes, others in (*instead, (None, besides)):
+        near = ((model, *other) for model in models for other in others if model.log_weight + other[1] > -REACH)
+        every = [_changed(model, goes, comes, log_odds) for model, comes, log_odds in near]
+        models += [model for model in every if _differ(model.causes)]
         models = [models[0], *sorted(models[1:], key=lambda model: -model.log_weight)[: MOST_IN_REACH - 1]]
     if suspected:
         used = models[0]
         for finding in suspected:
-            used = replace(_changed(used, _in_its_place(finding, catalogue)[-1]), change="without")
+            used = replace(_changed(used, finding.cause, *_in_its_place(finding, catalogue)[-1]), change="without")
         models = [used, *(model for model in models if set(model.causes) != set(used.causes))]
     return tuple(replace(model, log_prior=log_prior(model.causes)) for model in models)
 
@@ -292,36 +291,23 @@ def rivals_shown(findings: Sequence[Detection[Cause]], beside: Sequence[Score[Ca
     return {score.cause.place: score.cause for score in scores}
 
 
-@dataclass(frozen=True)
-class _Choice:
-    """A change of the model found: a cause goes, another comes (None: none), with its log odds."""
-
-    change: Change
-    goes: Cause | None
-    comes: Cause | Untested | None
-    log_weight: float
-
-
-def _in_its_place(finding: Detection[Cause], catalogue: Catalogue) -> list[_Choice]:
-    """Return the alternatives in a finding's place, relative to the form that was found: a rival, tested or not, another form, or
-    none."""
+def _in_its_place(finding: Detection[Cause], catalogue: Catalogue) -> Others:
+    """Return what may be in a finding's place, with its log odds against the form found: a rival, tested or not, another form, none
+    (None, the last)."""
     cause, cost = finding.cause, finding.own.cost
     forms = (cost - finding.cost) / 2
-    others = [
-        _Choice("instead", cause, score.cause, (cost - score.cost) / 2)
-        for score in finding.scores
-        if score.cause != cause
-    ]
-    others += [_Choice("instead", cause, other, forms) for other in _untested(finding, catalogue.untestable(cause.id))]
-    return [*others, _Choice("without", cause, None, forms + _log_odds_of_nothing(finding))]
+    tested: Others = [(score.cause, (cost - score.cost) / 2) for score in finding.scores if score.cause != cause]
+    untested = [(other, forms) for other in _untested(finding, catalogue.untestable(cause.id))]
+    return [*tested, *untested, (None, forms + _log_odds_of_nothing(finding))]
 
 
-def _changed(model: ModelInReach, choice: _Choice) -> ModelInReach:
-    come = [choice.comes] if choice.comes else []
-    places = [come if cause == choice.goes else [cause] for cause in model.causes]
-    causes = (*chain.from_iterable(places), *(come if choice.goes is None else []))
-    change: Change = choice.change if model.change == "found" else "several"
-    return ModelInReach(causes, change, 0.0, model.log_weight + choice.log_weight)
+def _changed(model: ModelInReach, goes: Cause | None, comes: Cause | Untested | None, log_odds: float) -> ModelInReach:
+    """Return a model with one cause in the place of another, with one besides (goes None), or without one (comes None)."""
+    come = [comes] if comes else []
+    places = [come if cause == goes else [cause] for cause in model.causes]
+    causes = (*chain.from_iterable(places), *(come if goes is None else []))
+    change: Change = "without" if comes is None else "besides" if goes is None else "instead"
+    return ModelInReach(causes, change if model.change == "found" else "several", 0.0, model.log_weight + log_odds)
 
 
 def _differ(causes: Sequence[Cause | Untested]) -> bool:
