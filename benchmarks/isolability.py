@@ -234,12 +234,12 @@ def case(plan: Plan, k: int, rng: np.random.Generator) -> Iterator[dict[str, obj
     known = cf.identify(plan.plan.robot, data, EFFECTS, starts=1)
     found = search_causes(known, data, rng=draws(int(rng.integers(2**31))))
     sets = [
-        {verdict.finding.cause.place, *(rival.cause.place for rival in verdict.rivals if rival.cause)}
+        {verdict.cause.place, *(rival.cause.place for rival in verdict.rivals if rival.cause)}
         for verdict in found.verdicts
     ]
     own = next((each for each in sets if one.place in each), None)
     seconds = time.process_time() - started
-    names = "; ".join(f"{verdict.finding.cause.id} {verdict.finding.cause.part}" for verdict in found.verdicts)
+    names = "; ".join(f"{verdict.cause.id} {verdict.cause.part}" for verdict in found.verdicts)
     for rival, chance in plan.stated(one.place, size, "isolability").items():
         right = own is not None and rival not in own
         yield {

@@ -86,7 +86,7 @@ def asked(where, rivals=(ECCENTRIC,), size=2e-4, untestable=()):
     finding = Detection(RATIO, tuple(scores), Family({}, 1.0))
     others = [Rival(one.cause.id, one.cause.joint, 2.0, one) for one in scores[1:]]
     others += [Rival(name, 0, 0.0, None) for name in untestable]
-    verdict = Verdict(finding, "one_of", 0.7, tuple(others))
+    verdict = Verdict(**vars(finding), status="one_of", probability=0.7, rivals=tuple(others))
     one = question(verdict, now, 0.7, np.random.default_rng(1))
     return one, poses_table([one], now), separations_table([one])
 

@@ -118,7 +118,7 @@ def test_they_are_read_by_name(final):
     """Fails if estimates are read by their place in the file: verdicts are in the order of gain, a model's causes in any."""
     found_first, found_last = cause("joint-backlash", "joint1"), cause("gear-ratio-error", "joint3")
     model = final.with_causes([found_first, ECCENTRIC, found_last])
-    verdicts = [replace(judged(), finding=replace(judged().finding, cause=one)) for one in (found_last, found_first)]
+    verdicts = [replace(judged(), cause=one) for one in (found_last, found_first)]
     (said,) = fitted_alternatives([*verdicts, judged(ratio(1.0))], model)
     (read,) = _alternatives(from_frame(alternatives_table([said], model.model), AlternativeParameter), model.model)
     rows = model.data.conditions

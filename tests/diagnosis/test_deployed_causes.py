@@ -74,8 +74,7 @@ def test_what_helps_nowhere_else_stays_a_suspicion(told, misses, without, stay):
     One of the device is, whatever is missed.
     """
     verdicts = [
-        SimpleNamespace(status=one.replace("vague", "named"), finding=SimpleNamespace(cause=Named(name), told=one))
-        for name, one in told.items()
+        SimpleNamespace(status=one.replace("vague", "named"), cause=Named(name), told=one) for name, one in told.items()
     ]
     used = deployed_model(Missing(misses | {"": without}, "".join(told)), verdicts)
     assert (used.causes if used else "") == stay

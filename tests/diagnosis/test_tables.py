@@ -83,7 +83,7 @@ def member(number, cost, name, joint=2, **variant):
     verdict_ = judged(
         score(cost, name, joint, **variant), *([score(cost + 3, "joint-compliance", 2)] if number == 1 else [])
     )
-    cause, alike = verdict_.finding.cause, tuple(rival.id for rival in verdict_.rivals)
+    cause, alike = verdict_.cause, tuple(rival.id for rival in verdict_.rivals)
     row = Finding(status=verdict_.status, cause=cause.id, joint=joint or None, estimate=3e-4 * number, sd=1e-5, unit="rad",
                   p_family=1e-4 * number, probability=0.9, detail=cause.detail, statement="alone", cannot_tell_from=alike,
                   numbers=(number,))  # fmt: skip
@@ -116,7 +116,7 @@ def test_several_orders_of_a_joint_are_one_finding_of_their_family():
     assert (row.estimate, row.p_family) == (pytest.approx(3e-4 * np.sqrt(5)), 1e-4)
     assert row.statement.startswith("transmission error of joint 2: periodic error (order 5), and ")
     assert row.detail.startswith("order 5, with ")
-    other = one.finding.cause, two.finding.cause, replace(one.finding.cause, part="joint3")
+    other = one.cause, two.cause, replace(one.cause, part="joint3")
     assert _kept_together(other) == [[0, 1], [2]]
     assert _kept_together([other[2], *other[:2]]) == [[0], [1, 2]]
 
@@ -129,10 +129,10 @@ def test_several_orders_of_a_joint_are_one_finding_of_their_family():
 def test_two_forms_of_one_thing_are_one_finding(name, other, joint, family):
     """Fails if two names are told as certain of what may be one thing in a third form, or one of them is lost."""
     (first, one), (second, two) = member(2, -90.0, name, joint), member(3, -50.0, other, joint)
-    assert _kept_together([one.finding.cause, two.finding.cause]) == [[0, 1]]
+    assert _kept_together([one.cause, two.cause]) == [[0, 1]]
     row = _together([first, second], [one, two])
     assert (row.status, row.of_family, row.name, row.kin[0]) == ("one_of", True, family, other)
-    assert two.finding.cause.title in row.detail
+    assert two.cause.title in row.detail
 
 
 def test_sizes_that_measure_two_things_are_not_put_together():

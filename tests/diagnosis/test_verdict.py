@@ -108,7 +108,7 @@ def test_what_was_not_tested_but_looks_alike_has_an_equal_share():
     assert names(found) == [("joint-hysteresis", 3)]
     assert (found.rivals[0].cost, found.rivals[0].score) == (0.0, None)
     assert found.probability == pytest.approx(0.5)
-    assert found.family == ""
+    assert not found.among_kin
 
 
 def test_what_was_tested_there_is_judged_by_its_score():
@@ -172,14 +172,14 @@ def test_a_family_is_named_where_all_rivals_are_of_it(rivals, family):
         )
     found = judged(score(-50.0, "periodic-joint-error", 2, order=3.0), *others)
     assert names(found) == rivals
-    assert found.family == family
+    assert found.among_kin == bool(family)
 
 
 def test_a_cause_without_a_family_is_named_by_itself():
     """Fails if two causes that belong to no family are called by its empty name."""
     found = judged(score(-50.0, "gravity-deflection", 2), score(-47.0, "joint-compliance", 2))
     assert found.status == "one_of"
-    assert found.family == ""
+    assert not found.among_kin
 
 
 @pytest.mark.parametrize(("unnamed", "status"), [(2 * WITHIN + 1, "named"), (2 * WITHIN - 1, "one_of")])

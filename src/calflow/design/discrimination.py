@@ -140,7 +140,7 @@ def question(
     The poses are chosen among given candidates, or among poses drawn in the measured region. If none can be sought, the
     separations state why: that is no reason to abort a diagnosis.
     """
-    cause = verdict.finding.cause
+    cause = verdict.cause
     untested, tested = ([rival for rival in verdict.others if bool(rival.score) is known] for known in (False, True))
     asked, rest = tested[:MOST_RIVALS], tested[MOST_RIVALS:]
     few = f"poses are sought for the {MOST_RIVALS} nearest rivals only"
@@ -151,7 +151,7 @@ def question(
     try:
         planned = planned_like(fitted, share)
         choices = among or _choices(fitted, planned.observation, rng)
-        apart, plan = _asked(verdict.finding, asked, [*untested, *rest], fitted, planned, choices)
+        apart, plan = _asked(verdict, asked, [*untested, *rest], fitted, planned, choices)
     except SOUGHT_IN_VAIN as error:
         wider, reason = "", f"{type(error).__name__}: {error}"
         if isinstance(error, InputError):

@@ -113,7 +113,7 @@ class Diagnosis:
     @property
     def causes(self) -> list[Cause]:
         """The causes found, in the order of the findings."""
-        return [verdict.finding.cause for verdict in self.verdicts]
+        return [verdict.cause for verdict in self.verdicts]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -286,13 +286,12 @@ def search_causes(
     # The search takes markers of a standstill as independent.
     final = final and final.sharing()
     in_use = final.causes if final else ()
-    deployed = [verdict for verdict in judged if verdict.finding.cause in in_use]
-    suspects = [verdict for verdict in judged if verdict.finding.cause not in in_use]
+    deployed = [verdict for verdict in judged if verdict.cause in in_use]
+    suspects = [verdict for verdict in judged if verdict.cause not in in_use]
     for suspect in suspects:
-        say(f"{words(suspect.finding.cause)} remains a suspicion: it does not help at poses left out")
+        say(f"{words(suspect.cause)} remains a suspicion: it does not help at poses left out")
     ordered = (*deployed, *suspects)
-    findings = tuple(verdict.finding for verdict in ordered)
-    in_reach = models_in_reach(extended, findings, beside, every, findings[len(deployed) :])
+    in_reach = models_in_reach(extended, ordered, beside, every, suspects)
     return Diagnosis(
         start, first, extended, final, ordered, suspected(left, beside), other, wanted, acceptance.false_alarm,
         misfit(extended, rng("misfit")), capped=len(ordered) >= causes,

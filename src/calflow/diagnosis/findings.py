@@ -319,7 +319,7 @@ def findings(
     n = diagnosis.n_deployed
     for members in _kept_together(diagnosis.causes):
         causes = [
-            _cause(verdict, final, _overlapping(verdict.finding.cause, final.model, diagnosis.left), k + 1, k < n)
+            _cause(verdict, final, _overlapping(verdict.cause, final.model, diagnosis.left), k + 1, k < n)
             for k, verdict in ((k, diagnosis.verdicts[k]) for k in members)
         ]
         row = causes[0] if len(causes) == 1 else _together(causes, [diagnosis.verdicts[k] for k in members])
@@ -362,8 +362,8 @@ def _kept_together(causes: Sequence[Cause]) -> list[list[int]]:
 
 def _together(rows: Sequence[Finding], verdicts: Sequence[Verdict]) -> Finding:
     """Return one finding for several causes of a family at one place, described by the one in use that explains most."""
-    order = sorted(range(len(rows)), key=lambda k: (not rows[k].deployed, verdicts[k].finding.own.cost))
-    lead, causes = rows[order[0]], [verdicts[k].finding.cause for k in order]
+    order = sorted(range(len(rows)), key=lambda k: (not rows[k].deployed, verdicts[k].own.cost))
+    lead, causes = rows[order[0]], [verdicts[k].cause for k in order]
     own, *kin = map(named, causes)
     others = [named(rival) for verdict in verdicts for rival in verdict.others]
     rivals = [*(other for other in kin if other != own), *(rival for rival in others if not own.covers(rival))]
@@ -395,10 +395,10 @@ def _together(rows: Sequence[Finding], verdicts: Sequence[Verdict]) -> Finding:
 
 def _cause(verdict: Verdict, fitted: Fitted, left: UnexplainedStructure | None, number: int, deployed: bool) -> Finding:
     """Return the finding of one cause; left is unexplained structure along the same input, which makes its name uncertain."""
-    cause, carries_over = verdict.finding.cause, verdict.finding.carries_over
+    cause, carries_over = verdict.cause, verdict.carries_over
     own = fitted.model.columns(cause)
     curve = Curve.of(cause, fitted.fit.estimate[own], fitted.fit.covariance[np.ix_(own, own)])
-    size = Amplitude.of_squares(*curve.rms_over_travel) if curve else found_amplitude(verdict.finding, fitted)
+    size = Amplitude.of_squares(*curve.rms_over_travel) if curve else found_amplitude(verdict, fitted)
     others = list(dict.fromkeys(rival.id for rival in verdict.others))
     if left:
         same = _relatives(cause) if is_any_error_along(cause, left.inputs) else [UNEXPLAINED]
@@ -407,7 +407,7 @@ def _cause(verdict: Verdict, fitted: Fitted, left: UnexplainedStructure | None, 
     return Finding(
         status="one_of" if others else verdict.status, cause=cause.id, joint=cause.joint or None, estimate=size.estimate,
         sd=size.sd if size.sd > 0 else NAN, low=size.low, high=size.high, unit=cause.declared[0].unit,
-        p_family=verdict.finding.p, probability=verdict.of_effect,
+        p_family=verdict.p, probability=verdict.of_effect,
         family_probability=verdict.of_family if cause.family else NAN,
         cannot_tell_from=tuple(others), detail=_detail(verdict),
         **Finding.of_rivals([named(rival) for rival in verdict.others]),
@@ -419,20 +419,20 @@ def _cause(verdict: Verdict, fitted: Fitted, left: UnexplainedStructure | None, 
 
 def _detail(verdict: Verdict) -> str:
     """Return the variant in words, with other parts at the same joint where the effect explains the data as well."""
-    cause = verdict.finding.cause
+    cause = verdict.cause
     elsewhere = [rival.cause.part for rival in verdict.rivals if rival not in verdict.others and rival.cause]
     return " or ".join([cause.detail or cause.part, *dict.fromkeys(elsewhere)]) if elsewhere else cause.detail
 
 
 def _statement(verdict: Verdict, left: UnexplainedStructure | None) -> str:
-    cause, where = verdict.finding.cause, _where(verdict.finding.cause)
+    cause, where = verdict.cause, _where(verdict.cause)
     detail = f" ({_detail(verdict)})" if _detail(verdict) else ""
     if left and is_any_error_along(cause, left.inputs):
         return f"{cause.effect.family}{where}: form not resolved, more is left than {cause.title}{detail} explains"
     if left:
         return f"{cause.title}{where}{detail}, or what stays unexplained ({' and '.join(left.inputs)})"
-    if verdict.family and cause.effect.named_in():
-        return f"{verdict.family}{where}: form not resolved, best {cause.title}{detail}"
+    if verdict.among_kin and cause.effect.named_in():
+        return f"{cause.family}{where}: form not resolved, best {cause.title}{detail}"
     if verdict.others:
         return f"{cause.title}{where}{detail}, or {', or '.join(map(_told, verdict.others))}"
     return f"{cause.title}{where}{detail}"

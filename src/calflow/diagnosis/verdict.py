@@ -12,7 +12,7 @@ measuring device is not applied to the robot: it stays in the model, to keep its
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from itertools import chain, combinations
 from types import MappingProxyType
 from typing import Generic, Literal
@@ -64,11 +64,10 @@ class Rival(Generic[H]):
         return self.score.cause if self.score else None
 
 
-@dataclass(frozen=True)
-class Verdict(Generic[H]):
+@dataclass(frozen=True, kw_only=True)
+class Verdict(Detection[H]):
     """A finding with its status, the probability of its cause at its part, and its rivals, the likeliest first."""
 
-    finding: Detection[H]
     status: Status
     probability: float
     rivals: tuple[Rival[H], ...]
@@ -76,7 +75,7 @@ class Verdict(Generic[H]):
     @property
     def others(self) -> tuple[Rival[H], ...]:
         """The rivals except its own effect at other parts of the same joint: a tool and a marker on it may both sag."""
-        own = named(self.finding.cause)
+        own = named(self.cause)
         return tuple(rival for rival in self.rivals if named(rival) != own)
 
     @property
@@ -90,18 +89,18 @@ class Verdict(Generic[H]):
         return self._of_all(NamedCause.covers)
 
     def _of_all(self, alike: Callable[[NamedCause, NamedCause], bool]) -> float:
-        own = named(self.finding.cause)
-        costs = [(named(best.cause), cost - self.finding.cost) for cost, best in self.finding.places.values()]
+        own = named(self.cause)
+        costs = [(named(best.cause), cost - self.cost) for cost, best in self.places.values()]
         costs += [(named(rival), rival.cost) for rival in self.rivals if rival.score is None]
         summed = [cost for other, cost in costs if alike(own, other)]
         return self.probability * float(np.exp(-np.array(summed) / 2).sum())
 
     @property
-    def family(self) -> str:
-        """Its family's name, where it has rivals and all are of that family at one joint; empty otherwise."""
-        family, joint = self.finding.cause.family, self.finding.cause.joint
-        same = (rival.cause and (rival.cause.family, rival.joint) == (family, joint) for rival in self.rivals)
-        return family if self.rivals and all(same) else ""
+    def among_kin(self) -> bool:
+        """Whether it has a family and rivals, all of which are of that at its joint."""
+        own = self.cause.family, self.cause.joint
+        kin = [rival for rival in self.rivals if rival.cause and (rival.cause.family, rival.joint) == own]
+        return bool(own[0] and kin) and len(kin) == len(self.rivals)
 
 
 def verdict(finding: Detection[H], untestable: Mapping[str, str] = MappingProxyType({})) -> Verdict[H]:
@@ -121,7 +120,8 @@ def verdict(finding: Detection[H], untestable: Mapping[str, str] = MappingProxyT
     others += [0.0] * len(untested) + [_log_odds_of_nothing(finding)]
     probability = 1 / (1 + float(np.exp(others).sum()))
     ordered = tuple(sorted(rivals, key=lambda rival: rival.cost))
-    return Verdict(finding, "one_of" if ordered else "named", probability, ordered)
+    found = {field.name: getattr(finding, field.name) for field in fields(Detection)}
+    return Verdict(**found, status="one_of" if ordered else "named", probability=probability, rivals=ordered)
 
 
 def _untested(finding: Detection, untestable: Collection[str]) -> list[Untested]:
@@ -157,18 +157,18 @@ def fitted_alternatives(
     certain, they shift predictions all the same.
     """
     asked: list[tuple[float, Cause | None, Cause | None]] = [
-        (_probability(verdict, rival), verdict.finding.cause, rival.cause)
+        (_probability(verdict, rival), verdict.cause, rival.cause)
         for verdict in verdicts
         for rival in verdict.rivals
         if rival.cause is not None or rival.id == UNEXPLAINED
     ]
     asked += [
-        (probability, verdict.finding.cause, form)
+        (probability, verdict.cause, form)
         for verdict in verdicts
         for probability, form in _forms_by_other_conditions(verdict, final.model)
     ]
     for verdict in suspected:
-        asked.append((verdict.probability, None, verdict.finding.cause))
+        asked.append((verdict.probability, None, verdict.cause))
         asked += [
             (_probability(verdict, rival), None, rival.cause) for rival in verdict.rivals if rival.cause is not None
         ]
@@ -180,7 +180,7 @@ def fitted_alternatives(
     likeliest = sorted((other for other in asked if other[0] >= NEGLIGIBLE), key=lambda other: -other[0])[:MOST_FITTED]
     alternatives = []
     for probability, gone, rival in likeliest:
-        stay = [verdict.finding.cause for verdict in verdicts if verdict.finding.cause != gone]
+        stay = [verdict.cause for verdict in verdicts if verdict.cause != gone]
         come = [rival] if rival is not None and rival not in stay else []
         fit = final.fit_with([*stay, *come])
         alternatives.append(Alternative(fit.model, fit.estimate, probability, gone, next(iter(come), None)))
@@ -193,15 +193,14 @@ def _forms_by_other_conditions(verdict: Verdict, model: Model) -> list[tuple[flo
     Forms by the same conditions agree wherever these were measured; others agree with them only for as long as their conditions
     change together, as the temperature and the time do while an arm warms up.
     """
-    finding = verdict.finding
-    forms = [(verdict.probability * np.exp((finding.cost - score.cost) / 2), score.cause) for score in finding.scores
-             if score.cause.place == finding.cause.place]  # fmt: skip
+    forms = [(verdict.probability * np.exp((verdict.cost - score.cost) / 2), score.cause) for score in verdict.scores
+             if score.cause.place == verdict.cause.place]  # fmt: skip
     by_conditions: dict[tuple[str, ...], list[tuple[float, Cause]]] = {}
     for probability, form in forms:
         if probability >= NEGLIGIBLE:
             conditions = tuple(depended_on(replace(model, effects=(form,))))
             by_conditions.setdefault(conditions, []).append((float(probability), form))
-    others = [group for group in by_conditions.values() if all(form != finding.cause for _, form in group)]
+    others = [group for group in by_conditions.values() if all(form != verdict.cause for _, form in group)]
     return [(sum(probability for probability, _ in group), max(group, key=lambda form: form[0])[1]) for group in others]
 
 
@@ -406,10 +405,10 @@ def deployed_model(extended: Fitted, verdicts: Sequence[Verdict]) -> Fitted | No
     """
     used: Fitted | None = extended
     deployed, misses = verdicts, extended.left_out.of_new_measurements
-    of_robot = [verdict for verdict in reversed(verdicts) if not verdict.finding.cause.of_measuring()]
+    of_robot = [verdict for verdict in reversed(verdicts) if not verdict.cause.of_measuring()]
     for doubtful in [verdict for verdict in of_robot if not is_certain(verdict, extended)]:
         stay = [verdict for verdict in deployed if verdict is not doubtful]
-        fewer = extended.with_causes([verdict.finding.cause for verdict in stay])
+        fewer = extended.with_causes([verdict.cause for verdict in stay])
         # Without any cause the model is the identified one, as identify fits it.
         misses_then = (fewer if stay else fewer.sharing()).left_out.of_new_measurements
         if misses_then <= misses:
@@ -419,4 +418,4 @@ def deployed_model(extended: Fitted, verdicts: Sequence[Verdict]) -> Fitted | No
 
 def is_certain(verdict: Verdict, fitted: Fitted) -> bool:
     """Whether a cause is named, and its amplitude differs significantly from zero, averaged over its forms."""
-    return verdict.status == "named" and found_amplitude(verdict.finding, fitted).differs_from_zero
+    return verdict.status == "named" and found_amplitude(verdict, fitted).differs_from_zero
