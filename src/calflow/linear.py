@@ -296,7 +296,7 @@ class LinearTrial(Trial[Block]):
             finding
             if len(self.blocks) == 1 or finding.p < CLEAR * FALSE_ALARM
             else replace(finding, family=linear.apart([finding.cause]).family(self.rng))
-            for finding in linear.findings(family)
+            for finding in (linear.finding(block, family) for block in self.blocks)
         )
 
     @property

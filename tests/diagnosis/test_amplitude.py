@@ -26,7 +26,7 @@ def fitted():
 def finding(fitted):
     """The finding, with its other order."""
     linearisation = Linearisation.at(fitted, Catalogue.of(fitted.data, ("geometry",), ("joint-eccentricity",)).effects)
-    return linearisation.findings(linearisation.screened(np.random.default_rng(1)).family)[0]
+    return linearisation.finding(linearisation.causes[0], linearisation.screened(np.random.default_rng(1)).family)
 
 
 def with_evidence(finding, change):

@@ -21,7 +21,7 @@ def bent(*values):
     every = Catalogue.of(known.data, ("geometry",))
     first = Linearisation.at(known, every.effects).screened(np.random.default_rng(1))
     trial = FittedTrial(first, known, every)
-    return trial, trial.findings[0], trial.linearisation.findings(first.family)[0]
+    return trial, trial.findings[0], trial.linearisation.finding(trial.causes[0], first.family)
 
 
 def test_a_mass_that_moves_the_tool_through_the_spring_is_no_rival_of_it():

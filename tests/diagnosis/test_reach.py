@@ -31,7 +31,7 @@ def found():
 def test_one_cause_is_to_be_expected_of_the_whole_catalogue(found):
     """Fails if a larger catalogue does not make each of its causes dearer, or places that the data do not show count."""
     final, look, every = found
-    findings = look.findings(Family({}, 1.0))
+    findings = [look.finding(cause, Family({}, 1.0)) for cause in look.causes]
     first, *near = models_in_reach(final, findings, look.beside.scores, every)
     places = rivals_shown(findings, look.beside.scores)
     assert first.causes == final.causes
@@ -47,7 +47,7 @@ def test_one_cause_is_to_be_expected_of_the_whole_catalogue(found):
 def test_the_same_probabilities_stand_in_findings_and_in_the_models(found):
     """Fails if a cause is weighed otherwise in a model than as a name, or doubts of two causes exclude each other."""
     final, look, every = found
-    (finding,) = look.findings(Family({}, 1.0))
+    finding = look.finding(look.causes[0], Family({}, 1.0))
     own = by_place(finding.scores)[ECCENTRIC.place][0]
     rivals = [score for score in finding.scores if score.cause.place != ECCENTRIC.place]
     nearest = replace(rivals[0], cost=own + 1.0)
@@ -69,7 +69,7 @@ def test_a_curve_and_what_could_not_be_tested_stand_among_the_models():
     every = Catalogue((curve.effect, ECCENTRIC.effect, play.effect), {"joint-backlash": "approach"})
     final = start(data).with_causes([curve, play])
     look = Linearisation.at(final, every.effects)
-    findings = [replace(finding, unnamed=30.0) for finding in look.findings(Family({}, 1.0))]
+    findings = [replace(look.finding(cause, Family({}, 1.0)), unnamed=30.0) for cause in look.causes]
     models = models_in_reach(final, findings, look.beside.scores, every)
     weights = np.exp([model.log_weight for model in models])
     for finding in findings:
@@ -87,7 +87,7 @@ def test_doubts_of_two_causes_do_not_exclude_each_other():
     final = start(hidden([(ECCENTRIC, (6e-5, -3e-5)), (other, (1e-4,))])).with_causes([ECCENTRIC, other])
     every = Catalogue((ECCENTRIC.effect, other.effect), {})
     look = Linearisation.at(final, every.effects)
-    findings = [replace(finding, unnamed=0.0) for finding in look.findings(Family({}, 1.0))]
+    findings = [replace(look.finding(cause, Family({}, 1.0)), unnamed=0.0) for cause in look.causes]
     models = models_in_reach(final, findings, look.beside.scores, every)
     weights = np.exp([model.log_weight for model in models])
     assert {model.change for model in models} >= {"found", "without", "several"}

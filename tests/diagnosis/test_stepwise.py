@@ -44,7 +44,7 @@ class Wandering(Trial[Block]):
     @property
     def linearisation(self):
         """No cause has another form."""
-        return SimpleNamespace(forms=lambda causes, place: [])
+        return SimpleNamespace(finding=lambda cause, family, where: Detection(cause, (), family))
 
     @property
     def findings(self):

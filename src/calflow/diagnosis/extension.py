@@ -79,7 +79,8 @@ class FittedTrial(Trial[Cause]):
     @cached_property
     def own_findings(self) -> tuple[Detection[Cause], ...]:
         """Its causes, each with the scores of its own place alone."""
-        return tuple(self.linearisation.own_findings(self.first.family)) if self.causes else ()
+        family = self.first.family
+        return tuple(self.linearisation.finding(cause, family, [cause.place]) for cause in self.causes)
 
     def with_causes(self, causes: Sequence[Cause], added: Score[Cause] | None = None) -> FittedTrial:
         """Return the study's effects fitted with these causes, a new one started from its linear estimate."""
@@ -128,7 +129,7 @@ class FittedTrial(Trial[Cause]):
 
     @cached_property
     def _linear_findings(self) -> list[Detection[Cause]]:
-        return self.linearisation.findings(self.first.family) if self.causes else []
+        return [self.linearisation.finding(cause, self.first.family) for cause in self.causes]
 
     def _with_rivals_alone(self, finding: Detection[Cause], limit: float) -> Detection[Cause]:
         cause = finding.cause

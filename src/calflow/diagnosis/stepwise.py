@@ -77,6 +77,12 @@ class CauseAcceptance:
         """Whether a cause of the model would be accepted again."""
         return any(score.cause == finding.cause and self.accepts(score, finding.family) for score in finding.scores)
 
+    def better(self, finding: Detection[H]) -> Score[H] | None:
+        """Return the best candidate in a cause's place, if it is a more probable rival, or another form that explains more."""
+        cost, best = min(finding.places.values(), key=lambda scored: scored[0])
+        better = cost < finding.cost or best.cost < finding.own.cost - BETTER
+        return best if better and self.accepts(best, finding.family) else None
+
 
 Kin = tuple[str, int]  # a family and the joint (0 for none) where its members act
 
@@ -224,13 +230,9 @@ class Stepwise:
         if not trial.causes:
             return
         *others, last = trial.causes
-        finding = Detection(last, tuple(trial.linearisation.forms(others, last.place)), trial.first.family)
-        if not self.acceptance.keeps(finding):
-            return
-        _, best = min(finding.places.values(), key=lambda scored: scored[0])
-        gain = finding.own.cost - best.cost
-        if gain > BETTER and self.acceptance.accepts(best, finding.family):
-            yield replace(_replaced(trial, [*others, best.cause]), cost=-gain)
+        finding = trial.linearisation.finding(last, trial.first.family, [last.place])
+        if self.acceptance.keeps(finding) and (best := self.acceptance.better(finding)):
+            yield replace(_replaced(trial, [*others, best.cause]), cost=best.cost - finding.own.cost)
 
     def _added(self, trial: Trial[H]) -> Iterator[Proposal[H]]:
         """Yield the causes with the best accepted candidate added, if there is one and room for it."""
@@ -306,9 +308,7 @@ def second_thoughts(trial: Trial[H], acceptance: CauseAcceptance) -> list[H]:
         if not acceptance.keeps(finding):
             return [cause for cause in trial.causes if cause != finding.cause]
     for finding in _weakest_first(trial.findings):
-        cost, best = min(finding.places.values(), key=lambda scored: scored[0])
-        better = cost < finding.cost or best.cost < finding.own.cost - BETTER
-        if better and acceptance.accepts(best, finding.family):
+        if best := acceptance.better(finding):
             return [best.cause if cause == finding.cause else cause for cause in trial.causes]
     return list(trial.causes)
 

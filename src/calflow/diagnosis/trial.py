@@ -128,13 +128,9 @@ class Linearisation(Generic[H]):
         gone = [cause for cause in self.causes if cause not in causes]
         return self.rise(gone) + sum(self._cost(gone, cause) for cause in causes if cause not in self.causes)
 
-    def findings(self, family: Family) -> list[Detection[H]]:
-        """Return the causes with the scores of all candidates in each one's place."""
-        return [Detection(cause, tuple(self.apart([cause]).scores), family) for cause in self.causes]
-
-    def own_findings(self, family: Family) -> list[Detection[H]]:
-        """Return the causes with the scores of each one's own place alone, which take a small part of the time."""
-        return [Detection(cause, tuple(self.apart([cause], [cause.place]).scores), family) for cause in self.causes]
+    def finding(self, cause: H, family: Family, where: Collection[Place] = ()) -> Detection[H]:
+        """Return a cause with the scores of all candidates in its place, or those of some places: a small part of the time."""
+        return Detection(cause, tuple(self.apart([cause], where).scores), family)
 
     def forms(self, causes: Sequence[H], place: Place) -> list[Score[H]]:
         """Return the scores of all forms of a place beside the given causes, best first."""
@@ -183,7 +179,7 @@ class Trial(ABC, Generic[H]):
     @cached_property
     def findings(self) -> tuple[Detection[H], ...]:
         """Its causes, each with the scores of all candidates in its place."""
-        return tuple(self.linearisation.findings(self.first.family)) if self.causes else ()
+        return tuple(self.linearisation.finding(cause, self.first.family) for cause in self.causes)
 
     @property
     def own_findings(self) -> tuple[Detection[H], ...]:
