@@ -24,9 +24,9 @@ from calflow.diagnosis.findings import findings
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.verdict import named
-from calflow.effects.wording import UNEXPLAINED
+from calflow.effects.wording import UNEXPLAINED, NamedCause
 from calflow.estimation.accuracy import distances, errors
-from calflow.estimation.calibrated_model import Alternative, CalibratedModel, offsets, points_at
+from calflow.estimation.calibrated_model import Alternative, CalibratedModel, choice_errors, points_at
 from calflow.estimation.probing import probed
 from calflow.estimation.progress import Draws
 from calflow.faults import as_table
@@ -88,12 +88,9 @@ def uncertainties(
         )
     if planned.observation.units == (METRE,) * 3:
         both = (choices.conditions, at_task.conditions)
-        seen, tool = (offsets(alternatives, model, estimate, points_at(rows)) for rows in both)
-        for k, alternative in enumerate(alternatives):
-            size, own = np.sqrt(alternative.probability), slice(k, k + 1)
-            uncertainties.append(
-                Uncertainty(f"rival {k + 1}", size / planned.sigma * seen[:, :, own], size * tool[:, :, own])
-            )
+        seen, tool = (choice_errors(alternatives, model, estimate, points_at(rows)) for rows in both)
+        for k, name in enumerate(map(_rival, alternatives)):
+            uncertainties.append(Uncertainty(name.name, seen[:, :, [k]] / planned.sigma, tool[:, :, [k]]))
     return uncertainties
 
 
@@ -317,6 +314,11 @@ def _table(model: Model, choices: Measurements, reasons: Mapping[int, str], aske
     return table.assign(reason=[reasons[number] for number in numbers])
 
 
+def _rival(alternative: Alternative) -> NamedCause:
+    """Return the name of what may act in a cause's place."""
+    return named(alternative.rival) if alternative.rival else NamedCause(UNEXPLAINED, 0)
+
+
 def _suspects(rivals: Sequence[Alternative], fitted: Fitted, causes: Sequence[LackingCause]) -> tuple[Suspect, ...]:
     """Return the suspects, the likeliest first."""
     of_poses = float(independent_sizes(fitted)[1][1:].sum())
@@ -324,7 +326,7 @@ def _suspects(rivals: Sequence[Alternative], fitted: Fitted, causes: Sequence[La
         *((named(lacking.cause).label, "cause", lacking.probability) for lacking in causes),
         *((" and ".join(inputs), "background", share) for inputs, share in fitted.smooth.probabilities.items()),
         ("pose", "pose", of_poses),
-        *((named(rival.rival).label if rival.rival else UNEXPLAINED, "rival", rival.probability) for rival in rivals),
+        *((_rival(rival).label, "rival", rival.probability) for rival in rivals),
     ]
     likeliest = sorted(every, key=lambda suspect: -suspect[2])
     return tuple(Suspect(name=name, kind=kind, probability=share) for name, kind, share in likeliest if share >= LIKELY)

@@ -79,9 +79,10 @@ class PlanInformation:
 
     @property
     def additions(self) -> Iterator[tuple[str, int, int, np.ndarray]]:
-        """Yield each addition in words, the numbers of poses and points with it, and the information."""
+        """Yield each addition in words, the numbers of poses and points with it, and the information; first the plan as it is."""
         n, robot = len(self.readings), self.model.robot
         current = information(self.own, self.prior)
+        yield "", n, n, current
         every_other = np.arange(n) % 2 == 1
         for name in robot.payloads:
             if name != self.request.payload:
@@ -137,10 +138,7 @@ class PlanInformation:
     @cached_property
     def worth(self) -> tuple[Worth, ...]:
         """The plan as it is, then with each addition, the most effective first."""
-        n = len(self.readings)
-        plain, *rest = (
-            self._row(*arguments) for arguments in (("", n, n, information(self.own, self.prior)), *self.additions)
-        )
+        plain, *rest = (self._row(*addition) for addition in self.additions)
         return (plain, *sorted(rest, key=lambda row: row.expected_sd_mm))
 
     def _row(self, words: str, poses: int, points: int, known_so_far: np.ndarray) -> Worth:

@@ -250,7 +250,7 @@ def _base_rotation(data: Measurements, setup: Setup) -> np.ndarray | None:
     if data.rotation is None:
         return None
     there = np.flatnonzero(np.isfinite(data.rotation).all(axis=(1, 2)) & data.train)
-    predicted = Rotation.from_matrix(setup.model.rotation(setup.prior.mean, data.conditions[:, there]))
+    predicted = Rotation.from_matrix(setup.model.rotation(setup.mean, data.conditions[:, there]))
     seen = Rotation.from_matrix(data.rotation[there])
     axes, wanted = ((turns[1:] * turns[:-1].inv()).as_rotvec() for turns in (predicted, seen))
     clear = np.linalg.norm(axes, axis=1) < MOST_ROTATION

@@ -33,7 +33,7 @@ class Reference:
         setup = setup or Setup.of(data)
         equations = 3 * len(np.unique(conditions(data.only(data.train))))
         for candidate in (setup, setup.without_springs, setup.rigid):
-            if EQUATIONS * (candidate.prior.sd > 0).sum() <= equations:
+            if EQUATIONS * (candidate.sd > 0).sum() <= equations:
                 return Reference(data, setup, candidate.fitted)
         return None
 

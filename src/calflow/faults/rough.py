@@ -28,17 +28,10 @@ FAR_BETTER = 5.0  # factor by which the correction of a mistake must reduce a ro
 
 
 @dataclass(frozen=True)
-class Prior:
-    """The prior of a robot's parameters: mean and standard deviation (0: fixed), each (n_parameters,), in SI."""
-
-    mean: np.ndarray
-    sd: np.ndarray
-
-
-@dataclass(frozen=True)
 class RobustFit:
     """A robust fit, with the robust standard deviation per axis [m] of the fitted rows (scale).
 
+    mean, sd (n_parameters,): the parameters' prior, in SI, with sd 0 for fixed ones;
     covariance (n_parameters, n_parameters): of the estimate, for errors of that scale; volume: logarithm of posterior
     over prior volume; turn (3, 3), shift (3,): from the robot's base to the measuring frame.
     """
@@ -50,7 +43,8 @@ class RobustFit:
     scale: float
     turn: np.ndarray
     shift: np.ndarray
-    prior: Prior
+    mean: np.ndarray
+    sd: np.ndarray
 
     @property
     def gross(self) -> float:
@@ -60,8 +54,7 @@ class RobustFit:
     @property
     def deviations(self) -> np.ndarray:
         """The deviation of each parameter from its prior mean, in standard deviations, shape (n_parameters,)."""
-        sd = self.prior.sd
-        return np.divide(self.estimate - self.prior.mean, sd, out=np.zeros(len(sd)), where=sd > 0)
+        return np.divide(self.estimate - self.mean, self.sd, out=np.zeros(len(self.sd)), where=self.sd > 0)
 
     @property
     def deviation(self) -> float:
@@ -99,16 +92,17 @@ def robust_fit(
     position: np.ndarray,
     turn: np.ndarray,
     shift: np.ndarray,
-    prior: Prior,
+    mean: np.ndarray,
+    sd: np.ndarray,
     start: np.ndarray,
 ) -> RobustFit:
     """Return the robust fit of a model to positions (n_rows, 3): iteratively reweighted least squares, Cauchy weights.
 
-    turn, shift: the approximate base; start: initial parameters. The noise is the scale of the residuals, updated with
-    the weights. A compliance is kept non-negative by an active set.
+    turn, shift: the approximate base; mean, sd: the prior; start: initial parameters. The noise is the scale of the
+    residuals, updated with the weights. A compliance is kept non-negative by an active set.
     """
     measured = (position - shift) @ turn
-    mean, sd, estimate = prior.mean, prior.sd, start
+    estimate = start
     least = np.where(model.bounds[:, 0] == model.nominal, mean, -np.inf)
     every = np.flatnonzero(sd)
     free = np.ones(len(every), dtype=bool)
@@ -144,7 +138,7 @@ def robust_fit(
     covariance[np.ix_(fitted, fitted)] = np.linalg.inv(information[moving]) * np.outer(sd[fitted], sd[fitted])
     # A compliance held at zero was free in the prior, too: the data determine it as well.
     volume = -float(np.linalg.slogdet(information)[1]) / 2
-    return RobustFit(model, estimate, covariance, volume, scale, turn, shift, prior)
+    return RobustFit(model, estimate, covariance, volume, scale, turn, shift, mean, sd)
 
 
 def motion(points: np.ndarray, measured: np.ndarray, rounds: int = 12) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -135,7 +135,7 @@ def _initial_sources(data: Measurements, setup: Setup, lags: list[int]) -> np.nd
     All rows are tried at once: the error of the best rigid motion follows from sums over the rows before and after.
     Held-out rows are used only to match rows.
     """
-    points, measured = setup.model.position(setup.prior.mean, data.conditions), data.position
+    points, measured = setup.model.position(setup.mean, data.conditions), data.position
     middle = np.median(measured, axis=0)
     points, measured = points - np.nanmedian(points, axis=0), measured - middle
     plain = rigid_sums(points, measured)

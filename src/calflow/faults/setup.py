@@ -20,7 +20,7 @@ from calflow.effects.geometry import PLACED_SD as STATED_SD
 from calflow.effects.geometry import DimensionError, Geometry
 from calflow.effects.misstated_payload import PayloadMass
 from calflow.estimation.registration import marker_places, marker_shifts, with_markers
-from calflow.faults.rough import PLACED_SD, WIDTH, Prior, RobustFit, lengths, level, motion, robust_fit
+from calflow.faults.rough import PLACED_SD, WIDTH, RobustFit, lengths, level, motion, robust_fit
 from calflow.files.deferred import Rotation
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
@@ -60,13 +60,15 @@ class AllDimensions(Geometry):
 class Setup:
     """A model with a prior, and some rows: packed conditions (n_conditions, n_rows) and positions (n_rows, 3) [m].
 
+    mean, sd (n_parameters,): the prior, in SI, with sd 0 for fixed parameters;
     turn (3, 3), origin (3,): the stated base pose, None if unknown; stated: indices of the parameters of stated base and
     marker positions. numbers (n_rows,): indices of the rows; seen (n_poses,): number of markers at each of their poses;
     magnification: of the positions against the table's, of all rows or each.
     """
 
     model: Model
-    prior: Prior
+    mean: np.ndarray
+    sd: np.ndarray
     stated: tuple[int, ...]
     turn: np.ndarray | None
     origin: np.ndarray | None
@@ -83,8 +85,7 @@ class Setup:
         turn = FrameOrigin(rpy=vector(-np.array(base.rotation))).rotation.T if base.known else None
         origin = np.array(base.origin) if base.known else None
         model = _model(with_markers(data.robot, data.only(data.train)), data.given, beside)
-        prior, stated = _prior(model, base.known)
-        return Setup(model, prior, stated, turn, origin, *_at(data, _training_rows(data)))
+        return Setup(model, *_prior(model, base.known), turn, origin, *_at(data, _training_rows(data)))
 
     def on(self, data: Measurements) -> Setup:
         """Return the set-up with some training rows of other data of the robot."""
@@ -108,22 +109,22 @@ class Setup:
 
     def with_dimensions(self, changes: dict[int, float]) -> Setup:
         """Return the set-up with changes added to dimensions, by parameter index."""
-        mean = self.prior.mean.copy()
+        mean = self.mean.copy()
         for k, change in changes.items():
             mean[k] += change
-        return replace(self, prior=Prior(mean, self.prior.sd))
+        return replace(self, mean=mean)
 
     def freed(self, *figures: int) -> Setup:
         """Return the set-up with practically no prior on some dimensions (parameter indices)."""
-        sd = self.prior.sd.copy()
+        sd = self.sd.copy()
         sd[list(figures)] = PLACED_SD
-        return replace(self, prior=Prior(self.prior.mean, sd), stated=tuple(set(self.stated) - set(figures)))
+        return replace(self, sd=sd, stated=tuple(set(self.stated) - set(figures)))
 
     def with_robot(self, robot: Robot) -> Setup:
         """Return the set-up with another robot of the same joints, payloads and markers."""
         model = _model(robot, self.model.given)
-        prior, stated = _prior(model, self.turn is not None)
-        return replace(self, model=model, prior=prior, stated=stated)
+        mean, sd, stated = _prior(model, self.turn is not None)
+        return replace(self, model=model, mean=mean, sd=sd, stated=stated)
 
     @property
     def restated(self) -> Setup:
@@ -132,8 +133,8 @@ class Setup:
         Link dimensions without prior get the values of the rigid fit.
         """
         links = {k: p for k, p in enumerate(self.model.parameters) if p.effect == Geometry.id and p.joint}
-        anything = {k for k in links if self.prior.sd[k] == PLACED_SD}
-        errors = self.rigid.fitted.fit.estimate if anything else self.prior.mean
+        anything = {k for k in links if self.sd[k] == PLACED_SD}
+        errors = self.rigid.fitted.fit.estimate if anything else self.mean
         figures = {(p.joint, p.symbol): p.figure + errors[k] for k, p in links.items() if errors[k]}
         if not figures:
             return self
@@ -166,38 +167,37 @@ class Setup:
     @cached_property
     def rigid(self) -> Setup:
         """The set-up in which only base, tool and freed dimensions are fitted."""
-        placed = self.prior.sd >= STATED_SD
-        return replace(self, prior=Prior(self.prior.mean, np.where(placed, self.prior.sd, 0.0)))
+        return replace(self, sd=np.where(self.sd >= STATED_SD, self.sd, 0.0))
 
     @property
     def without_springs(self) -> Setup:
         """The set-up with rigid joints."""
         geometric = np.array([p.effect == Geometry.id for p in self.model.parameters])
-        return replace(self, prior=Prior(self.prior.mean, np.where(geometric, self.prior.sd, 0.0)))
+        return replace(self, sd=np.where(geometric, self.sd, 0.0))
 
     def points(self) -> np.ndarray:
         """Return the markers' nominal positions (n_rows, 3) [m] in the base frame; nan if a loop cannot be closed."""
-        return self.model.position(self.prior.mean, self.conditions)
+        return self.model.position(self.mean, self.conditions)
 
     @cached_property
     def fitted(self) -> FittedSetup:
         """The robust fit, which starts from that of the base."""
         turn, shift, _ = motion(self.points(), self.position)
-        prior, start = self._prior_near(turn, shift), self.prior.mean
-        return FittedSetup(self, robust_fit(self.model, self.conditions, self.position, turn, shift, prior, start))
+        prior = self._mean_near(turn, shift), self.sd
+        return FittedSetup(self, robust_fit(self.model, self.conditions, self.position, turn, shift, *prior, self.mean))
 
     @property
     def base(self) -> list[int]:
         """The parameter indices of the base: x, y, z and angles."""
         return [k for k, p in enumerate(self.model.parameters) if p.effect == Geometry.id and p.part == "base"]
 
-    def _prior_near(self, turn: np.ndarray, shift: np.ndarray) -> Prior:
-        """Return the prior relative to an approximate base pose, turn (3, 3) and shift (3,)."""
-        mean = self.prior.mean.copy()
+    def _mean_near(self, turn: np.ndarray, shift: np.ndarray) -> np.ndarray:
+        """Return the prior's mean relative to an approximate base pose, turn (3, 3) and shift (3,)."""
+        mean = self.mean.copy()
         if self.turn is not None and self.origin is not None:
             away = rpy_of(self.turn.T @ turn)  # of the inverse: the base's angles are about moving axes
             mean[self.base] = np.r_[turn.T @ (self.origin - shift), -np.array(away)]
-        return Prior(mean, self.prior.sd)
+        return mean
 
 
 def _model(robot: Robot, given: tuple[str, ...], beside: tuple[Effect, ...] = ()) -> Model:
@@ -209,15 +209,15 @@ def _model(robot: Robot, given: tuple[str, ...], beside: tuple[Effect, ...] = ()
     return Model(robot, effects, given)
 
 
-def _prior(model: Model, known: bool) -> tuple[Prior, tuple[int, ...]]:
-    """Return the prior of a model, and the parameters of stated base and markers; known: whether the base is stated."""
+def _prior(model: Model, known: bool) -> tuple[np.ndarray, np.ndarray, tuple[int, ...]]:
+    """Return the prior mean and sd of a model, and the parameters of stated base and markers; known: whether the base is stated."""
     figures, markers = [k for k, p in enumerate(model.parameters) if p.effect == Geometry.id], model.robot.markers
     placed = [k for k in figures if model.parameters[k].part in ("base", *markers)]
     parts = {"base", *(name for name, marker in markers.items() if marker.known)} if known else {}
     stated = [k for k in placed if model.parameters[k].part in parts]
     sd = np.where([p.effect == PayloadMass.id for p in model.parameters], 0.0, model.prior_sd)
     sd[placed], sd[stated] = PLACED_SD, STATED_SD
-    return Prior(model.prior_mean, sd), tuple(stated)
+    return model.prior_mean, sd, tuple(stated)
 
 
 def _with_dimensions(robot: Robot, figures: Mapping[tuple[int, str], float]) -> Robot:
@@ -266,7 +266,7 @@ class FittedSetup:
     @property
     def suspicious(self) -> bool:
         """Whether parameters, scale or share of outliers exceed those of any robot as stated."""
-        deviation = np.abs(self.fit.deviations[self.fit.prior.sd < PLACED_SD]).max(initial=0.0)
+        deviation = np.abs(self.fit.deviations[self.fit.sd < PLACED_SD]).max(initial=0.0)
         return bool(deviation > SUSPECT or self.fit.scale > SUSPECT_SCALE or self.gross > SINGLE)
 
     @property
@@ -293,7 +293,7 @@ class FittedSetup:
     @cached_property
     def log_prior(self) -> float:
         """The log of the prior density at the estimate times the posterior volume (Occam factor)."""
-        fit, sd = self.fit, self.fit.prior.sd
+        fit, sd = self.fit, self.fit.sd
         return float(fit.volume - (fit.deviations[(sd > 0) & (sd < PLACED_SD)] ** 2).sum() / 2)
 
     @property
