@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calflow.diagnosis.misfit import MisfitRegion, largest, misfit
+from calflow.diagnosis.misfit import MisfitRegion, largest_misfit
 from diagnosis.test_unexplained import fitted
 
 RNG = 3
@@ -20,7 +20,7 @@ def rng():
 
 def test_what_the_noise_explains_is_no_misfit():
     """Fails if a model that leaves its noise is said to lack something."""
-    assert misfit(fitted(), rng()) is None
+    assert not fitted().lacks_fit
 
 
 def rough(where, size=4e-4):
@@ -42,18 +42,19 @@ def rough(where, size=4e-4):
 )
 def test_a_misfit_is_told_with_where_it_is_largest(where, name):
     """Fails if the lack of fit is silent, or put down to another place than the one where it is."""
-    found = misfit(fitted(rough(where)), rng())
-    assert found is not None
-    assert (found.p < 1e-6, found.times > 1.3) == (True, True)
-    assert found.region.input == name
-    assert found.region.there_mm > 3 * found.region.elsewhere_mm
+    model = fitted(rough(where))
+    assert model.lacks_fit
+    assert (model.lack.p < 1e-6, model.lack.reduced_chi2 > 1.7) == (True, True)
+    region = largest_misfit(model, rng())
+    assert region.input == name
+    assert region.there_mm > 3 * region.elsewhere_mm
 
 
 def test_an_even_misfit_has_no_place():
     """Fails if chance is told as a place: errors that are alike everywhere have none."""
     even = fitted(rough(lambda t: t["q1"] == t["q1"], 2e-4))
-    assert misfit(even, rng()).p < 1e-6
-    places = [largest(fitted(rough(lambda t: t["q1"] == t["q1"], 2e-4), seed=seed), rng()) for seed in range(8)]
+    assert even.lacks_fit
+    places = [largest_misfit(fitted(rough(lambda t: t["q1"] == t["q1"], 2e-4), seed=seed), rng()) for seed in range(8)]
     assert sum(place is not None for place in places) <= 2
 
 
@@ -62,7 +63,7 @@ def test_one_of_several_payloads_or_markers_is_named():
     labels = np.where(np.arange(100) % 3 == 1, "full", "none")
     data = fitted(rough(lambda t: labels == "full"))
     data.data.table["payload"] = labels
-    found = largest(data, rng())
+    found = largest_misfit(data, rng())
     assert (found.input, found.value) == ("payload", "full")
     assert found.where == "payload is full"
 
@@ -73,7 +74,7 @@ def test_a_session_of_other_noise_is_named(rougher):
     days = np.where(np.arange(100) < 100 * (1 - rougher), "mon", "tue")
     data = fitted(rough(lambda t: days == "tue"))
     data.data.table["session"] = days
-    found = largest(data, rng())
+    found = largest_misfit(data, rng())
     assert (found.input, found.value, found.is_of_measuring) == ("session", "tue", True)
     assert found.where == "the session is tue"
 
@@ -89,5 +90,5 @@ def test_a_joint_that_stood_still_is_no_place():
     known = fitted(rough(lambda t: t["time"] > np.quantile(t["time"], 0.75)))
     table = known.data.table.assign(q6=0.3)
     still = replace(known, data=replace(known.data, table=table))
-    found = largest(still, rng())
+    found = largest_misfit(still, rng())
     assert found is None or found.input != "q6"

@@ -10,7 +10,7 @@ import pytest
 
 from calflow.diagnosis.diagnosis import Diagnosis
 from calflow.diagnosis.findings import Finding, _kept_together, _overlapping, _together, findings
-from calflow.diagnosis.misfit import misfit
+from calflow.diagnosis.misfit import largest_misfit
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.trial import Linearisation
 from calflow.diagnosis.unexplained import UnexplainedStructure
@@ -69,13 +69,13 @@ def told(found):
 
 def test_a_lack_of_fit_has_a_row_though_no_input_explains_it(uneven):
     """Fails if a model that lacks something ends in an empty table, or its row does not say where."""
-    (row,) = told(diagnosis(uneven, misfit=misfit(uneven, rng())))
+    (row,) = told(diagnosis(uneven, worst=largest_misfit(uneven, rng())))
     assert (row.status, row.cause, row.inputs) == ("unexplained", "", ())
     assert row.detail.startswith("joint 1 is between")
     assert row.p_family < 1e-6
     assert row.detail in row.statement
     assert "times the noise" in row.statement
-    assert told(diagnosis(uneven)) == []
+    assert told(diagnosis(fitted())) == []
 
 
 def member(number, cost, name, joint=2, **variant):

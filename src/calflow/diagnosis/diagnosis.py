@@ -16,7 +16,7 @@ from calflow.diagnosis import FALSE_ALARM
 from calflow.diagnosis.background import BackgroundBasis
 from calflow.diagnosis.extension import FittedTrial, extend, largest_first, weighed, weighed_against
 from calflow.diagnosis.fitted import Fitted
-from calflow.diagnosis.misfit import Misfit, MisfitRegion, misfit
+from calflow.diagnosis.misfit import MisfitRegion, largest_misfit
 from calflow.diagnosis.noise_model import Growth, NoiseLevels, noise_of_repeats, noise_of_residuals
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.stepwise import SHARES, CauseAcceptance, Stepwise, words
@@ -54,7 +54,7 @@ class Diagnosis:
     first: the screening of the initial model; extended: the model with all causes; final: the model to be used (None: the
     identified one as it is); verdicts: one per finding, those in the model to be used, then those that are only suspected; left:
     errors of the extended model that no cause explains; noise: noise otherwise than stated; catalogue: the effects that were
-    tested; false_alarm: false-alarm rate of the causes; misfit: the extended model's lack of fit where significant; capped:
+    tested; false_alarm: false-alarm rate of the causes; worst: where the extended model's lack of fit is largest; capped:
     whether as many causes were found as were allowed; alternatives: models with rivals in the causes' places; in_reach: models one
     step from the extended one, by probability.
     """
@@ -68,7 +68,7 @@ class Diagnosis:
     noise: Growth | NoiseLevels | None
     catalogue: Catalogue
     false_alarm: float
-    misfit: Misfit | None = None
+    worst: MisfitRegion | None = None
     capped: bool = False
     alternatives: tuple[Alternative, ...] = ()
     in_reach: tuple[ModelInReach, ...] = ()
@@ -199,7 +199,7 @@ def diagnosis_summary(diagnosis: Diagnosis, calibrated: CalibratedModel) -> Diag
         reduced_chi2_before=first.lack.reduced_chi2 if first.noise.known else None,
         causes_tested=len({score.cause.place for score in diagnosis.first.scores}),
         tests=diagnosis.first.family.places,
-        worst=diagnosis.misfit.region if diagnosis.misfit else None,
+        worst=diagnosis.worst,
         capped=diagnosis.capped,
         noise_doubts=tuple(diagnosis.levels.doubts(first.data, calibrated.noise(first.data)))
         if diagnosis.levels
@@ -294,6 +294,6 @@ def search_causes(
     in_reach = models_in_reach(extended, ordered, beside, every, suspects)
     return Diagnosis(
         start, first, extended, final, ordered, suspected(left, beside), other, wanted, acceptance.false_alarm,
-        misfit(extended, rng("misfit")), capped=len(ordered) >= causes,
+        largest_misfit(extended, rng("misfit")) if extended.lacks_fit else None, capped=len(ordered) >= causes,
         alternatives=fitted_alternatives(deployed, extended, suspects, in_reach), in_reach=in_reach,
     )  # fmt: skip

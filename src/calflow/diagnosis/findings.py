@@ -14,7 +14,7 @@ import numpy as np
 
 from calflow.diagnosis.diagnosis import Diagnosis
 from calflow.diagnosis.fitted import Fitted
-from calflow.diagnosis.misfit import Misfit
+from calflow.diagnosis.misfit import MisfitRegion
 from calflow.diagnosis.noise_model import RANGE, Growth
 from calflow.diagnosis.unexplained import POSE, UnexplainedStructure, is_any_error_along, predicted
 from calflow.diagnosis.verdict import CERTAIN, SIZE, Amplitude, Rival, Verdict, found_amplitude, named
@@ -33,6 +33,7 @@ from calflow.effects.wording import (
 from calflow.estimation.accuracy import distances, errors, gain, judged_unit
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.extrapolation import Curve
+from calflow.estimation.lack_of_fit import LackOfFit
 from calflow.estimation.needed_conditions import depended_on
 from calflow.estimation.parameters import UNIT
 from calflow.files.deferred import pd
@@ -332,8 +333,8 @@ def findings(
         rows[-1] = replace(rows[-1], statement=rows[-1].statement + more)
     if diagnosis.growth:
         rows.append(_growth(diagnosis.growth))
-    if diagnosis.misfit:
-        rows.append(_misfit(diagnosis.misfit, diagnosis.left))
+    if final.lacks_fit:
+        rows.append(_misfit(final.lack, diagnosis.worst, diagnosis.left))
     for structure in diagnosis.left:
         after = steps[-1] + predicted(final, structure.functions, heldout)
         rows.append(_gained(_left(structure), steps[-1], after, heldout, rng))
@@ -471,18 +472,12 @@ def _growth(grown: Growth) -> Finding:
     )  # fmt: skip
 
 
-def _misfit(misfit: Misfit, left: tuple[UnexplainedStructure, ...]) -> Finding:
+def _misfit(lack: LackOfFit, worst: MisfitRegion | None, left: tuple[UnexplainedStructure, ...]) -> Finding:
     why = "an input explains only a part of it" if left else "no cause of the catalogue and no single input explains it"
-    where = misfit.region.words if misfit.region else "about the same everywhere"
-    statement = (
-        f"the model leaves {misfit.times:.2f} times the noise (chance of so much: {misfit.p:.2g}); {why}; {where}"
-    )
-    return Finding(
-        status="unexplained",
-        p_family=misfit.p,
-        detail=misfit.region.where if misfit.region else "",
-        statement=statement,
-    )
+    where = worst.words if worst else "about the same everywhere"
+    times = f"{np.sqrt(lack.reduced_chi2):.2f} times the noise (chance of so much: {lack.p:.2g})"
+    statement = f"the model leaves {times}; {why}; {where}"
+    return Finding(status="unexplained", p_family=lack.p, detail=worst.where if worst else "", statement=statement)
 
 
 def _left(structure: UnexplainedStructure) -> Finding:

@@ -15,7 +15,7 @@ from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.error_model import ErrorModel, SmoothVariances, beside_smooth_errors
 from calflow.estimation.extrapolation import beyond_measured
 from calflow.estimation.fit import Fit, IntraclassLikelihood, fit, fit_reweighted, refitted_sharing
-from calflow.estimation.lack_of_fit import LackOfFit
+from calflow.estimation.lack_of_fit import SIGNIFICANT, LackOfFit
 from calflow.estimation.least_squares import LeastSquares, Loss
 from calflow.estimation.leverage import LeftOut, excess, left_out
 from calflow.estimation.noise import NO_DISCREPANCY, Noise, PerUnit
@@ -147,6 +147,11 @@ class Fitted:
             freed = residual / np.sqrt(np.maximum(1 - leverage, 1 - MOST_LEVERAGE))
             every[part.rows[:, None], np.arange(residual.shape[1])] = freed
         return every
+
+    @property
+    def lacks_fit(self) -> bool:
+        """Whether a known noise leaves a significant lack of fit."""
+        return self.noise.known and self.lack.p < SIGNIFICANT and self.lack.reduced_chi2 > 1
 
     @property
     def outlier_loss(self) -> float:

@@ -1,4 +1,4 @@
-"""Misfit: a significant lack of fit, with its largest region.
+"""Misfit: the region in which a lack of fit is largest.
 
 A lack of fit is reported whether any input explains it or not. Its largest region is searched for one input at a time: in ranges
 between eighths of the poses, and at each value of labels with few values.
@@ -15,7 +15,6 @@ import numpy as np
 
 from calflow.diagnosis.fitted import Fitted
 from calflow.estimation.accuracy import distances, errors, judged_unit
-from calflow.estimation.lack_of_fit import SIGNIFICANT
 from calflow.files.deferred import pd
 from calflow.files.tables import column
 from calflow.files.units import METRE
@@ -74,20 +73,6 @@ class MisfitRegion:
 
 
 @dataclass(frozen=True)
-class Misfit:
-    """A significant lack of fit: chi² per degree of freedom, its p-value, and its largest region, if it is not uniform."""
-
-    reduced_chi2: float
-    p: float
-    region: MisfitRegion | None
-
-    @property
-    def times(self) -> float:
-        """Residuals over the noise, root mean square."""
-        return float(np.sqrt(self.reduced_chi2))
-
-
-@dataclass(frozen=True)
 class _Input:
     """An input along which regions are searched for: its values in display units, or its labels, one per row."""
 
@@ -110,15 +95,7 @@ class _Input:
             yield (self.values >= low) & (self.values <= high)
 
 
-def misfit(fitted: Fitted, rng: np.random.Generator) -> Misfit | None:
-    """Return a fitted model's lack of fit; None where the noise explains the residuals, or the noise is unknown."""
-    lack = fitted.lack
-    if not (fitted.noise.known and lack.p < SIGNIFICANT and lack.reduced_chi2 > 1):
-        return None
-    return Misfit(lack.reduced_chi2, lack.p, largest(fitted, rng))
-
-
-def largest(fitted: Fitted, rng: np.random.Generator) -> MisfitRegion | None:
+def largest_misfit(fitted: Fitted, rng: np.random.Generator) -> MisfitRegion | None:
     """Return the region with the largest residuals of a fitted model; None where it is not significant.
 
     Mean squared whitened residuals inside and outside a region are compared as variances, by their likelihood ratio; its p-value is
