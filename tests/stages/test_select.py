@@ -274,7 +274,7 @@ def test_poses_below_the_foot_are_told_where_nothing_keeps_them_above(small):
 def test_play_is_planned_for_by_vias(small):
     """Fails if a cause that shows by the side that joints come from is refused, or poses.csv has no vias for it or is no data."""
     said = selected(small, 'also_effects = ["joint-backlash"]')[2]
-    assert "for joint-backlash each joint comes from a via" in said
+    assert "for backlash each joint comes from a via" in said
     poses = pd.read_csv(small / "runs" / "select" / "poses.csv")
     assert (np.sign(poses["q2_deg"] - poses["via2_deg"]) == poses["approach2"]).all()
     filled = poses.assign(x_mm=poses["nominal_x_mm"], y_mm=poses["nominal_y_mm"], z_mm=poses["nominal_z_mm"])

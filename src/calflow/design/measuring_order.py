@@ -15,9 +15,11 @@ import numpy as np
 
 from calflow.design.planned import Order, SelectionRequest
 from calflow.design.worth import PlanInformation
+from calflow.effects.wording import cause_words
 from calflow.files.deferred import pd
 from calflow.files.tables import column
 from calflow.files.units import METRE
+from calflow.files.words import listed
 from calflow.measurements.rows import sides_and_travel
 from calflow.model import Model
 from calflow.robot.robot import Robot
@@ -190,9 +192,10 @@ def sides_words(poses: pd.DataFrame, effects: Sequence[str]) -> list[str]:
     """Return in words the sides of approach in poses.csv, if any effect depends on them."""
     if not effects:
         return []
+    names = listed([cause_words(effect).name for effect in effects])
     up = (poses[[name for name in poses if str(name).startswith("approach")]] > 0).sum()
     return [
-        f"for {', '.join(effects)} each joint comes from a via: {up.min()} to {up.max()} times of {len(poses)} upwards, by joint"
+        f"for {names} each joint comes from a via: {up.min()} to {up.max()} times of {len(poses)} upwards, by joint"
     ]
 
 
