@@ -20,7 +20,6 @@ from calflow.design.planned import Measure, Planned, Task, by_tool
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import Catalogue, by_place, place_probabilities
 from calflow.diagnosis.trial import Linearisation
-from calflow.effects import Effect
 from calflow.effects.cause import Cause
 from calflow.estimation.calibrated_model import Alternative, offsets, points_at
 from calflow.estimation.error_model import VISIBLE, ErrorModel
@@ -98,14 +97,6 @@ class TaskSlopes:
         conditions = rows_like(fitted.data, task.readings, list(task.payloads), rng).conditions
         return TaskSlopes(fitted, conditions, fitted.model.point_jacobian(fitted.fit.estimate, conditions))
 
-    def moved(self, effects: tuple[Effect, ...]) -> np.ndarray:
-        """Return the Jacobian of the tool's points by effects at zero, (n_points, 3, n_columns) [m]."""
-        whole, perfect = self.fitted.model, Planned(Position.planned(Series()), 1.0)
-        model = replace(whole, observations=(perfect.observation,))
-        estimate = whole.handed_on(self.fitted.fit.estimate, model)
-        _, slopes = probed(perfect.problem(model, estimate, self.conditions), estimate, effects)
-        return np.asarray(slopes.reshape(*self.slopes.shape[:2], -1)[:, :, len(estimate) :])
-
     @property
     def taught(self) -> np.ndarray:
         """Orthonormal displacements (3 n_points, n) by coordinates of the tool point that the data do not determine."""
@@ -121,8 +112,13 @@ class TaskSlopes:
 
     def by(self, causes: Sequence[LackingCause]) -> list[np.ndarray]:
         """Return for each cause the tool's displacement by a unit of each of its parameters, after refitting, (n_points, 3, n)."""
+        whole, perfect = self.fitted.model, Planned(Position.planned(Series()), 1.0)
+        model = replace(whole, observations=(perfect.observation,))
+        estimate = whole.handed_on(self.fitted.fit.estimate, model)
+        effects = tuple(cause.cause for cause in causes)
+        _, slopes = probed(perfect.problem(model, estimate, self.conditions), estimate, effects)
+        moved = slopes.reshape(*self.slopes.shape[:2], -1)[:, :, len(estimate) :]
         free = self.slopes[:, :, np.flatnonzero(~self.fitted.fit.at_bound)]
-        moved = self.moved(tuple(cause.cause for cause in causes))
         own = consecutive(cause.response.shape[1] for cause in causes)
         return [
             free @ cause.response + (0.0 if cause.cause.of_measuring() else moved[:, :, span])
