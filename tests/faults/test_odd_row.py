@@ -51,6 +51,18 @@ def test_a_row_fifteen_standard_deviations_off_is_told_and_stays(measured):
     assert corrected(data, as_table(told, data)).table.equals(data.table)
 
 
+def test_a_row_of_another_payload_than_is_written_is_told_with_that_payload(measured):
+    """Fails if exchanged payloads pass for bad measurements, which would be made again, or good rows beside them are named."""
+    rows, table = np.sort(np.flatnonzero(measured.table["payload"] == "full")[[2, 9, 10]]), measured.table.copy()
+    table.loc[rows, "payload"] = "none"
+    odd, told, _ = judged(Measurements(measured.robot, table, measured.notes))
+    assert np.flatnonzero(odd).tolist() == rows.tolist()
+    assert [(one.cause, one.action, one.lines) for one in told] == [
+        ("name-mistyped", "told", tuple(table["line"].iloc[rows]))
+    ]
+    assert "fits payload 'full', but another payload is written" in told[0].statement
+
+
 def test_good_rows_are_not_odd(measured):
     """Fails if noise is called an outlier."""
     odd, told, _ = judged(measured)

@@ -30,6 +30,7 @@ from calflow.estimation.certainty import Certainty, MissedPose
 from calflow.estimation.identifiability import Statement
 from calflow.estimation.lack_of_fit import NoiseDoubt
 from calflow.estimation.model_tables import Extrapolation, FitSummary, IdentifySummary, Placed, Solver
+from calflow.faults.outlier import MISNAMED
 from calflow.files.tables import Results, to_document, to_frame
 from calflow.observations.base import UNKNOWN_SIZE_SD
 from calflow.reporting import advice as ranked
@@ -141,6 +142,9 @@ def promised(
 
 
 MISSED = tuple(MissedPose(pose=f"P{k}", line=k, split="holdout", error=8.0 / k, limit=0.1) for k in (1, 2))
+
+
+MISLABELLED = Finding(status="data_fault", cause=MISNAMED, rows=(1, 2), statement="lines 1 and 2 fit payload 'full'")
 
 
 def faulty(*lines: int) -> pd.DataFrame:
@@ -282,6 +286,9 @@ SPEAKS: list[tuple[Rule, Mapping[str, object], int, str]] = [
     (ranked.flagged_rows, {"identify/residuals.csv": pd.DataFrame({"line": [2, 9], "flagged": [False, True]})}, 2, "line 9"),
     (ranked.flagged_rows, promised(57, 0.65, missed=MISSED), 2,
      "Poses P1 and P2 (lines 1 and 2 of the file) are off by up to 8.00 mm"),
+    (ranked.flagged_rows,
+     {**promised(57, 0.65, missed=MISSED), "diagnose/findings.csv": to_frame([MISLABELLED], Finding)}, 2,
+     "Check the measurement file: lines 1 and 2 fit payload 'full'"),
     (ranked.at_bound, {"identify/parameters.csv": parameter_table(at_bound=True)}, 2, "joint2.a"),
     (ranked.at_bound,
      {"identify/parameters.csv": parameter_table(at_bound=True, parameter="joint3.s", unit="rad/Nm", lower=0.0, upper=1e-6,

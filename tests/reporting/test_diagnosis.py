@@ -427,6 +427,24 @@ def test_several_causes_told_as_one_curve_of_a_torque_say_so(small: Context) -> 
     assert certainty.endswith("its exact form or whether it is one cause or several.")
 
 
+def test_what_may_be_an_unexplained_error_is_not_told_as_certain(small: Context) -> None:
+    """Fails if a line says a cause's probability among the named ones where an error without a name may be all of it."""
+    results = with_diagnosis(small, Found("one_of", "axis-wobble", 2, 4e-4, 3e-5, "rad")).results
+    table = results.tables["diagnose/findings.csv"].assign(cannot_tell_from="unexplained")
+    told = last_lines(RunOutcome(replace(results, tables={**results.tables, "diagnose/findings.csv": table})))
+    (line,) = (line for line in told if line.startswith("found: "))
+    assert line.startswith("found: axis wobble of joint 2 or something unexplained, 400 ± 30 µrad")
+    assert "probability" not in line
+
+
+def test_a_step_is_told_with_its_moment_though_a_drift_may_look_like_it() -> None:
+    """Fails if a user is not told after which rows to look for what happened, where steps and drifts are one family."""
+    steps = Finding(status="one_of", cause="frame-step", detail="after row 75", numbers=(1, 2), statement="")
+    assert steps.names == (
+        "drift of the measuring device (best described as step of the measuring device after row 75)"
+    )
+
+
 def test_doubt_about_a_part_of_a_certain_curve_is_not_told_of_the_whole(small: Context) -> None:
     """Fails if rivals of one of several waves make a curve that is there for certain one of several causes."""
     (found,) = RunOutcome(with_diagnosis(small, ORDER_OPEN).results).findings

@@ -254,9 +254,9 @@ def labels(causes: Sequence[Finding]) -> list[str]:
     for finding in causes:
         kind, others = effect_class(finding.cause), len(finding.others) if finding.name_probability < EVEN else 0
         several = [cause.name for cause in causes].count(finding.name) > 1
-        shown = finding.detail and (several or (kind and kind.dated and not finding.of_family))
+        shown = finding.form if kind and kind.dated else finding.detail if several else ""
         another = f" or {'another' if others == 1 else f'one of {others} others'}" if others else ""
-        words.append(f"{finding.name}{f' ({finding.detail})' if shown else ''}{another}")
+        words.append(f"{finding.name}{f' ({shown})' if shown else ''}{another}")
     return words
 
 

@@ -19,7 +19,7 @@ from calflow.diagnosis.noise_model import RANGE, Growth
 from calflow.diagnosis.unexplained import POSE, UnexplainedStructure, is_any_error_along, predicted
 from calflow.diagnosis.verdict import CERTAIN, SIZE, Amplitude, Rival, Verdict, found_amplitude, named
 from calflow.effects import catalogue
-from calflow.effects.base import FORMS_OF_ONE, IN_TIME, ITS_ANGLE, ITS_TORQUE, SMOOTH_IN
+from calflow.effects.base import FORMS_OF_ONE, IN_TIME, ITS_ANGLE, ITS_TORQUE, SMOOTH_IN, effect_class
 from calflow.effects.cause import Cause
 from calflow.effects.wording import (
     UNEXPLAINED,
@@ -225,8 +225,23 @@ class Finding:
         """Its name with its detail, and the names of the rivals that the data do not exclude."""
         if self.is_in_part:
             return f"{self.name} (a part of it may be {_one_of([rival.name for rival in self.others], 2)})"
-        name = f"{self.name} ({self.detail})" if self.detail and not self.of_family else self.name
-        return _one_of([name, *(rival.name for rival in self.others)])
+        name = f"{self.name} ({self.form})" if self.form else self.name
+        more = [cause_name(UNEXPLAINED)] if self.may_be_unexplained else []
+        return _one_of([name, *(rival.name for rival in self.others), *more])
+
+    @property
+    def form(self) -> str:
+        """Its variant in words; of a family whose member is not certain when it happened, if the best one says that."""
+        if not self.of_family:
+            return self.detail
+        kind = effect_class(self.cause)
+        dated = kind and kind.dated and self.detail
+        return f"best described as {cause_words(self.cause).name} {self.detail}" if dated else ""
+
+    @property
+    def may_be_unexplained(self) -> bool:
+        """Whether an error that no cause explains depends on the same input, and may be all of it, which has no probability."""
+        return UNEXPLAINED in self.cannot_tell_from and UNEXPLAINED not in self.rival_causes
 
     @property
     def amount(self) -> str:

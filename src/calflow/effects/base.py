@@ -29,7 +29,7 @@ from calflow.robot.robot import Robot
 WINDUP_SD, WINDUP_BOUND = 10e-3, 50e-3  # rad (prismatic: m): wind-up of a joint's spring at its rated torque
 NOTHING = 1e-300  # keeps the derivative of a norm finite at zero
 TRANSMISSION = "transmission error"
-OF_THE_FRAME = "drift of the device's frame"  # a step, also between sessions, a steady drift or a random one
+OF_THE_FRAME = "drift of the measuring device"  # a step, also between sessions, a steady drift or a random one
 LOST_MOTION = "lost motion"
 NONLINEAR = "nonlinear compliance"
 STRUCTURE = "structural compliance"

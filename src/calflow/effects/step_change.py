@@ -16,7 +16,7 @@ from calflow.robot.robot import Robot
 
 MOMENTS = 40  # most moments of one form that are searched at first
 BOUND = 300.0  # standard deviations
-FEWEST = 3  # rows, or images, required before the first moment and after the last
+FEWEST = 3  # fitted poses required before the first moment and after the last: one or two that are off are outliers
 AXES: tuple[tuple[str, str, str], ...] = (("", "m", "step along"), ("r", "rad", "turn about"))
 
 
@@ -83,12 +83,18 @@ class StepChange(Effect):
 
     @classmethod
     def _moments(cls, data: Measurements) -> np.ndarray:
-        """Return all moments between rows, or images, with at least FEWEST before and after.
+        """Return all moments between rows, or images, with at least FEWEST fitted poses before and after.
 
         Between sessions a device's frame is a `session_frame` instead.
         """
         first, last = _spans(data).T
-        between = ((first[1:] + last[:-1]) / 2)[FEWEST - 1 : len(first) - FEWEST]
+        fitted = data.only(data.train) if "split" in data.table else data
+        poses = fitted.table.groupby("pose")["order"].agg(["min", "max"])
+        if len(poses) < FEWEST:
+            return np.empty(0)
+        begun, ended = np.sort(poses, axis=0).T
+        between = (first[1:] + last[:-1]) / 2
+        between = between[(between > begun[FEWEST - 1]) & (between < ended[-FEWEST])]
         return between[~np.isin(between, borders(data))] if cls.family == OF_THE_FRAME else between
 
     @property

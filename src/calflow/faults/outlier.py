@@ -9,6 +9,7 @@ the tail of the other residuals.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import numpy as np
 import scipy
@@ -47,6 +48,7 @@ SMALL = 1e-4  # rad or m: difference step of a joint
 ALONG, SHARE = 0.9, 0.8  # cosine to a joint's direction of motion, in this share of the rows: an error of that joint
 # Poses, and the share of a joint's travel in which fewer than RUN of them lie: chance takes 1 in 5,000.
 FEWEST, NEARBY = 3, 0.15
+STAYING = "have little weight in the fit, but count in the accuracy"
 MISNAMED, FLIPPED = "name-mistyped", "flipped-image"
 FLIPS = {"from the opposite corner": ("px_x", "px_y"), "mirrored along x": ("px_x",), "mirrored along y": ("px_y",)}
 MOSTLY = 0.8  # least share of an image's points: central ones hardly move
@@ -312,7 +314,8 @@ def odd_rows(result: Fit, data: Measurements, studentised: Studentised) -> tuple
     """Return which rows (n_rows,) are outliers against the final model, and their fault.
 
     The limit follows from the tail of the residuals; clusters (see `clustered`) are not outliers. The rows are reported,
-    not excluded: their weight in the fit is small, and accuracy includes them.
+    not excluded: their weight in the fit is small, and accuracy includes them. Of those that fit another payload's name, that is
+    reported.
     """
     used = data.train | data.held_out
     odd = np.zeros(len(data), dtype=bool)
@@ -326,14 +329,43 @@ def odd_rows(result: Fit, data: Measurements, studentised: Studentised) -> tuple
     odd &= ~clustered(data, np.nan_to_num(error), odd)
     if not 0 < odd.sum() <= MAX_OUTLIER_SHARE * used.sum():
         return np.zeros(len(data), dtype=bool), ()
-    far, times = distances(error), studentised.whitened[odd]
-    leading = np.array([observation.units[0] for observation in result.model.observations])[data.series_number]
-    off = [f"{in_range(unit.shown(far[odd & (leading == unit)]))} {unit.label}" for unit in dict.fromkeys(leading[odd])]
+    far, leading = distances(error), np.array([o.units[0] for o in result.model.observations])[data.series_number]
+    labelled = _of_another_payload(result, data, far, odd)
+    rest = odd.copy()
+    rest[[correction.row - 1 for found in labelled for correction in found.corrections]] = False
+    if not rest.any():
+        return odd, labelled
+    off = [
+        f"{in_range(unit.shown(far[rest & (leading == unit)]))} {unit.label}" for unit in dict.fromkeys(leading[rest])
+    ]
     statement = (
-        f"the measured values in LINES do not fit the final model: off by {' or '.join(off)}, {in_range(times, 2)} times the "
-        "expected; they have little weight in the fit, but count in the accuracy: measure again"
+        f"the measured values in LINES do not fit the final model: off by {' or '.join(off)}, "
+        f"{in_range(studentised.whitened[rest], 2)} times the expected; they {STAYING}: measure again"
     )
-    return odd, (faulty_rows("outlier", data, np.flatnonzero(odd), "told", statement),)
+    return odd, (*labelled, faulty_rows("outlier", data, np.flatnonzero(rest), "told", statement))
+
+
+def _of_another_payload(result: Fit, data: Measurements, far: np.ndarray, odd: np.ndarray) -> tuple[Fault, ...]:
+    """Return a fault for each payload with which odd rows (n_rows,), by errors far, agree as the others do, and with no other."""
+    table, names = data.table, data.table["payload"].unique().tolist()
+    limit = np.minimum(far[(data.train | data.held_out) & ~odd].max(), far / FAR_BETTER)
+    carrying = (replace(data, table=table.assign(payload=table["payload"].where(~odd, name))) for name in names)
+    fits = [odd & (distances(leading_errors(result.model, result.estimate, other)) < limit) for other in carrying]
+    only = np.sum(fits, axis=0) == 1
+    statement = (
+        f"what was measured in LINES fits {{}}, but another payload is written; these rows {STAYING}: correct the file"
+    )
+    return tuple(
+        faulty_rows(
+            MISNAMED,
+            data,
+            np.flatnonzero(fit & only),
+            "told",
+            statement.format(f"payload '{name}'" if name else "none"),
+        )
+        for name, fit in zip(names, fits, strict=True)
+        if (fit & only).any()
+    )
 
 
 def in_range(values: np.ndarray, digits: int = 3) -> str:

@@ -32,6 +32,7 @@ from calflow.estimation.identifiability import Statement
 from calflow.estimation.noise import MIN_REPEATS
 from calflow.estimation.parameters import FittedParameter
 from calflow.faults.base import FaultyRow
+from calflow.faults.outlier import MISNAMED
 from calflow.files.deferred import pd
 from calflow.files.units import METRE
 from calflow.files.words import (
@@ -207,9 +208,10 @@ def _share_taken(outcome: RunOutcome) -> float:
 
 
 def does_not_carry_over(outcome: RunOutcome) -> Iterator[Advice]:
-    """A model much worse at held-out poses was fitted to too few or too similar poses."""
+    """A model much worse at held-out poses was fitted to too few or too similar poses, unless some were mistaken."""
     train, held = outcome.steps_on("train"), outcome.steps_on("holdout")
-    if not train or not held:
+    mistaken = any(pose.split == "holdout" for pose in outcome.certainty.missed)  # they make the mean what it is
+    if not train or not held or mistaken:
         return
     fitted, unseen, unit = train[-1].figures[0], held[-1].figures[0], held[-1].unit
     if unseen > WORSE * fitted:
@@ -379,11 +381,16 @@ def cause_names(causes: tuple[str, ...], joints: tuple[int, ...]) -> list[str]:
 
 
 def flagged_rows(outcome: RunOutcome) -> Iterator[Advice]:
-    """Poses with errors far beyond the predicted limits, and outlying rows, are to be checked."""
-    missed, rows = outcome.certainty.missed, flags(outcome)
+    """Poses with errors far beyond the predicted limits, and outlying rows, are to be checked; a wrong name explains some."""
+    rows = flags(outcome)
+    named = [finding for finding in outcome.findings if finding.cause == MISNAMED]
+    for finding in named:
+        yield Advice(2, f"Check the measurement file: {finding.statement}.", AT_THE_DESK)
+    known = [line for finding in named for line in finding.rows]
+    missed = [pose for pose in outcome.certainty.missed if pose.line not in known]
     if missed:
         yield _look_at(missed, outcome.certainty.unit)
-    known = [pose.line for pose in missed]
+    known += [pose.line for pose in missed]
     if lines := [line for line in rows.loc[rows["flagged"].astype(bool), "line"] if line not in known]:
         sentence = (
             f"Check {plural(len(lines), 'row')} of the measurement file ({plural_word(lines, 'line')} {listed(lines, 12)}), "

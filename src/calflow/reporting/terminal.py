@@ -58,8 +58,9 @@ def _in_words(finding: Finding) -> str:
     """Return a finding with its cause, joint, size, probability and gain."""
     gains = finding.status != "data_fault" and (finding.is_suspicion or shows_gain(finding))
     which = "the first " if finding.others and not finding.is_in_part else ""
-    sure = f", {which}with probability {sureness(finding.name_probability)}"
-    return f"{finding.in_short}{sure if finding.is_cause else ''}{f'; {gain_words(finding)}' if gains else ''}"
+    told = finding.is_cause and not finding.may_be_unexplained
+    sure = f", {which}with probability {sureness(finding.name_probability)}" if told else ""
+    return f"{finding.in_short}{sure}{f'; {gain_words(finding)}' if gains else ''}"
 
 
 def _verdict(outcome: RunOutcome) -> list[str]:
