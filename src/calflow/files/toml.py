@@ -10,7 +10,7 @@ import math
 import re
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import MISSING, dataclass, fields, replace
 from functools import cache, wraps
 from pathlib import Path
 from types import UnionType
@@ -170,10 +170,10 @@ class Origin:
 
 @dataclass(frozen=True)
 class _Wrong:
-    """A value that cannot be converted to SI, which makes its own field fail; key is its spelling in the file."""
+    """What makes a field fail, in place of its value; key is its spelling in the file, empty where it is not there."""
 
     reason: str
-    key: str
+    key: str = ""
 
 
 class FileModel(BaseModel):
@@ -242,6 +242,19 @@ def _annotations(kind: type[BaseModel | Record]) -> dict[str, Any]:
     return {field.name: hints[field.name] for field in fields(kind)}
 
 
+def defaults(kind: type[FileModel | Record]) -> dict[str, Any]:
+    """Return the default value of each field of a file model or record; MISSING where it must be stated."""
+    if issubclass(kind, FileModel):
+        return {
+            name: MISSING if field.is_required() else field.get_default(call_default_factory=True)
+            for name, field in kind.model_fields.items()
+        }
+    return {
+        field.name: field.default if field.default_factory is MISSING else field.default_factory()
+        for field in fields(kind)
+    }
+
+
 def _in_si(kind: type[FileModel | Record], raw: Any) -> Any:
     """The table with its quantities in SI under the names of their fields, such as `a = 0.005` for `a_mm = 5`."""
     if not isinstance(raw, dict):
@@ -251,7 +264,8 @@ def _in_si(kind: type[FileModel | Record], raw: Any) -> Any:
         name, unit = (key, "") if key in dimensions(kind) else split_unit(key) or (key, "")
         dimension = dimensions(kind).get(name)
         if dimension is None:
-            converted[key] = as_tuples(value)
+            known = key in dimensions(kind)
+            converted[key] = as_tuples(value) if known else _Wrong(f"unknown key{nearest(key, _known_keys(kind))}", key)
         elif name in converted:
             converted[name] = _Wrong(f"'{name}' is given twice, in different units", key)
         elif not unit:
@@ -262,6 +276,10 @@ def _in_si(kind: type[FileModel | Record], raw: Any) -> Any:
             converted[name] = _convert(value, unit)
             if dimension == MEASURED:
                 converted[f"{name}_unit"] = unit
+    for name, default in defaults(kind).items():
+        dimension = dimensions(kind)[name]
+        if dimension and default is MISSING and name not in converted:
+            converted[name] = _Wrong(f"missing: expected {_spellings(name, dimension)}")
     return converted
 
 
@@ -357,7 +375,7 @@ def validate_table(
         made: File = adapter(kind).validate_python(raw, context=context)
         return made
     except ValidationError as error:
-        problems = _problems(error, kind, raw, origin, others or {}, _EXPECTED)
+        problems = _problems(error, raw, origin, others or {}, _EXPECTED)
         raise InputError(sorted(problems, key=lambda problem: (str(problem.file), problem.line or 0))) from None
 
 
@@ -371,7 +389,7 @@ def checked(record: Record, kind: type[File], place: str, context: Mapping[str, 
         made: File = adapter(kind).validate_python(record, context=context)
         return made
     except ValidationError as error:
-        problems = _problems(error, kind, record, Origin(Path(), (), {}), {}, _EXPECTED | _IN_PYTHON)
+        problems = _problems(error, record, Origin(Path(), (), {}), {}, _EXPECTED | _IN_PYTHON)
         raise InputError(replace(problem, file=None, key=f"{place}: {problem.key}") for problem in problems) from None
 
 
@@ -443,12 +461,7 @@ def _judged(kind: Any) -> Any:
 
 
 def _problems(
-    error: ValidationError,
-    kind: Any,
-    raw: Any,
-    origin: Origin,
-    others: Mapping[str, Origin],
-    expected: Mapping[str, str],
+    error: ValidationError, raw: Any, origin: Origin, others: Mapping[str, Origin], expected: Mapping[str, str]
 ) -> list[Problem]:
     """The problems of a pydantic error, in its order."""
     items = [item | {"loc": _named(item["loc"])} for item in error.errors(include_url=False)]
@@ -456,7 +469,7 @@ def _problems(
     # pydantic reports a list as too short if its members are wrong, which are reported themselves
     counting = [item for item in items if item["type"] != "too_short" or item["loc"] not in inner]
     return limited_problems(
-        counting, lambda item: _problem(item, kind, raw, origin, others, expected), lambda item: item["type"]
+        counting, lambda item: _problem(item, raw, origin, others, expected), lambda item: item["type"]
     )
 
 
@@ -506,6 +519,15 @@ def _dimension(annotation: Any) -> str | None:
     return next(of, None) or next(filter(None, map(_dimension, get_args(annotation))), None)
 
 
+def _known_keys(kind: type[FileModel | Record]) -> list[str]:
+    """The keys that a table may have, each quantity in all its units."""
+    return [
+        f"{name}_{unit}" if unit else name
+        for name, dimension in dimensions(kind).items()
+        for unit in (KEY_SUFFIXES[dimension] if dimension else ("",))
+    ]
+
+
 def _spellings(name: str, dimension: str) -> str:
     return " or ".join(f"{name}_{suffix}" for suffix in KEY_SUFFIXES[dimension])
 
@@ -543,30 +565,16 @@ def _convert(value: Any, unit: str) -> Any:
         return math.inf
 
 
-def _problem(
-    item: Any,
-    kind: type[FileModel | Record],
-    raw: Any,
-    origin: Origin,
-    others: Mapping[str, Origin],
-    expected: Mapping[str, str],
-) -> Problem:
+def _problem(item: Any, raw: Any, origin: Origin, others: Mapping[str, Origin], expected: Mapping[str, str]) -> Problem:
     location, value, wrong = tuple(item["loc"]), item.get("input"), item["type"] == "value_error"
     message, written = _refusal_words(item, expected), _written(raw, location)
     if isinstance(value, _Wrong):
-        message, wrong, written = value.reason, True, (*written[:-1], value.key)
+        message, wrong, written = value.reason, True, (*written[:-1], *filter(None, [value.key]))
     elif wrong:
         message, written = _at_its_key(message, raw, written)
-    elif item["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
-        key = str(location[-1])
-        message, wrong = f"unknown key{nearest(key, _known_keys(kind, location[:-1]))}", True
     elif item["type"] == "missing":
-        name, table, wrong = location[-1], _table_at(kind, location[:-1]), True
-        dimension = dimensions(table).get(str(name)) if table else None
-        message = f"missing: expected {_spellings(str(name), dimension) if dimension else repr(name)}"
-        if isinstance(name, int):
-            message = f"value {name + 1} is missing"
-        written = written[:-1]
+        name, wrong, written = location[-1], True, written[:-1]
+        message = f"value {name + 1} is missing" if isinstance(name, int) else f"missing: expected {name!r}"
     if item["type"] == "order":
         message += f", found {' and '.join(f'{figure:g}' for figure in _at(raw, written))}"
     elif not wrong:
@@ -612,36 +620,6 @@ def _shown(value: Any) -> str:
     """A value as TOML spells it, truncated if long."""
     text = str(value).lower() if isinstance(value, bool) else repr(list(value) if isinstance(value, tuple) else value)
     return truncated(text)
-
-
-def _table_at(kind: Any, location: tuple[Any, ...]) -> type[FileModel | Record] | None:
-    for part in location:
-        if _is_table(kind):
-            kind = _annotations(kind).get(part, kind)
-        while not _is_table(kind):
-            arguments = [a for a in get_args(kind) if a not in (str, type(None), ...)]
-            if not arguments:
-                return None
-            kind = arguments[0]
-    return kind if _is_table(kind) else None
-
-
-def _is_table(kind: Any) -> bool:
-    return isinstance(kind, type) and issubclass(kind, BaseModel | Record)
-
-
-def _known_keys(kind: Any, location: tuple[Any, ...]) -> list[str]:
-    table = _table_at(kind, location)
-    if table is None:
-        return []
-    aliases = {name: field.alias or name for name, field in getattr(table, "model_fields", {}).items()}
-    return [
-        key
-        for name, dimension in dimensions(table).items()
-        for key in (
-            [f"{name}_{suffix}" for suffix in KEY_SUFFIXES[dimension]] if dimension else [aliases.get(name, name)]
-        )
-    ]
 
 
 def _dotted(location: tuple[Any, ...]) -> str:

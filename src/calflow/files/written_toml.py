@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any
 
 import tomli_w
 
-from calflow.files.toml import UNKNOWN, FileModel, Record, dimensions
+from calflow.files.toml import UNKNOWN, FileModel, Record, defaults, dimensions
 from calflow.files.units import KEY_SUFFIXES, in_si, to_si
 from calflow.files.writing import write_text
 
@@ -25,7 +24,7 @@ def table_of(record: FileModel | Record, **other: str) -> dict[str, Any]:
     A value that would not read back exactly in its everyday unit is in SI. other overrides the dimensions of fields.
     """
     table: dict[str, Any] = {}
-    for name, default in _defaults(type(record)).items():
+    for name, default in defaults(type(record)).items():
         value, dimension = getattr(record, name), other.get(name) or dimensions(type(record))[name]
         if value == default:
             continue
@@ -37,15 +36,6 @@ def table_of(record: FileModel | Record, **other: str) -> dict[str, Any]:
             unit, figures = _everyday(value, dimension)
             table[f"{name}_{unit}"] = figures
     return table
-
-
-def _defaults(kind: type[FileModel | Record]) -> dict[str, Any]:
-    if issubclass(kind, FileModel):
-        return {name: field.get_default(call_default_factory=True) for name, field in kind.model_fields.items()}
-    return {
-        field.name: field.default if field.default_factory is MISSING else field.default_factory()
-        for field in fields(kind)
-    }
 
 
 def _tables(value: Any) -> Any:
