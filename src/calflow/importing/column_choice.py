@@ -9,7 +9,7 @@ import numpy as np
 
 from calflow.files.problems import refuse
 from calflow.importing.column_role import ACTUAL, PLANNED, preferred
-from calflow.importing.joined_rows import FEWEST_POSES, Joined, without_role
+from calflow.importing.joined_rows import FEWEST_POSES, Joined
 from calflow.importing.joint_mapping import (
     FACTORS,
     LARGEST_TURN,
@@ -143,7 +143,7 @@ def _joint_choices(joined: Joined, robot: Robot) -> Iterator[tuple[int, ...]]:
             yield tuple(members[i] for i in sorted(members))
     if joined.roles.joints:
         return
-    free = without_role(joined.roles, joined.columns)
+    free = joined.free
     for start in range(len(free) - len(driven) + 1):
         yield tuple(free[start : start + len(driven)])
 
@@ -155,7 +155,7 @@ def _point_choices(joined: Joined, joints: Sequence[int]) -> Iterator[tuple[tupl
         yield (members["x"], members["y"], members["z"]), group
     if joined.roles.points:
         return
-    free = [k for k in without_role(joined.roles, joined.columns) if k not in joints]
+    free = [k for k in joined.free if k not in joints]
     for x, two, three in zip(free, free[1:], free[2:], strict=False):
         if three == x + 2:
             yield (x, two, three), ()

@@ -10,7 +10,7 @@ import csv
 import re
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import UTC, datetime, time
 from itertools import takewhile
 from pathlib import Path
@@ -83,14 +83,6 @@ class ForeignTable:
     def title(self) -> str:
         """The name of the file, followed by that of the part."""
         return f"{self.path.name}{f', {self.part}' if self.part else ''}"
-
-    def rows(self, chosen: np.ndarray) -> ForeignTable:
-        """Return the table with a subset of its rows, given by indices or by a mask."""
-        columns = tuple(
-            replace(column, cells=column.cells.iloc[chosen].reset_index(drop=True), figures=column.figures[chosen])
-            for column in self.columns
-        )
-        return replace(self, columns=columns)
 
 
 def foreign_tables(path: Path) -> list[ForeignTable]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,11 +27,16 @@ WIDEST = 60  # columns among which unnamed joints and points are searched
 
 @dataclass(frozen=True)
 class Joined:
-    """Rows that contain joints and points: columns of values (n_rows, n_columns), and their indices by role."""
+    """Rows of a table, or of two side by side: their columns, the indices of these by role, and notes on how they were read.
 
+    path is that of the first file; named says whether the files name the columns.
+    """
+
+    path: Path
     title: str
     columns: tuple[ForeignColumn, ...]
     roles: Roles
+    named: bool
     notes: tuple[str, ...] = ()
 
     @property
@@ -41,20 +47,78 @@ class Joined:
     def __len__(self) -> int:
         return len(self.columns[0].figures)
 
+    @property
+    def time(self) -> np.ndarray:
+        """The time of each row (n_rows,) [s]; empty if there is no clock."""
+        return np.empty(0) if self.roles.time is None else seconds(self.columns[self.roles.time])
+
+    @property
+    def free(self) -> list[int]:
+        """The numeric columns without a role that may be joints or points: no row counters, constants or clocks."""
+        roles = self.roles
+        members: tuple[Mapping[Any, int], ...] = (*roles.joints.values(), *roles.points.values(), *roles.turns.values())
+        taken = {
+            roles.time,
+            roles.temperature,
+            *roles.labels.values(),
+            *(k for member in members for k in member.values()),
+        }
+        return [
+            k
+            for k, column in enumerate(self.columns[:WIDEST])
+            if k not in taken and column.is_figures and not (NEITHER & {*name_words(column.name)})
+            and not (np.diff(column.figures) == 1).all() and np.nanstd(column.figures) > 0
+        ]  # fmt: skip
+
+    def has_joints(self, n: int) -> bool:
+        """Return whether there are columns of n joints, or as many that may be."""
+        groups = self.roles.joints.values()
+        return any(len(members) >= n for members in groups) if groups else len(self.free) >= n
+
+    def has_points(self, beside: int = 0) -> bool:
+        """Return whether there are columns of a point, or of what may be one beside so many others."""
+        return bool(self.roles.points) if self.named else len(self.free) >= beside + 3
+
+    def rows(self, chosen: np.ndarray) -> Joined:
+        """Return a subset of the rows, given by indices or by a mask."""
+        columns = tuple(
+            replace(column, cells=column.cells.iloc[chosen].reset_index(drop=True), figures=column.figures[chosen])
+            for column in self.columns
+        )
+        return replace(self, columns=columns)
+
     def still(self, robot: Robot) -> Joined:
         """Return the standstills if the rows are a recording, else the rows unchanged.
 
         Raises:
             InputError: there are too few standstills to identify a joint mapping.
         """
-        if self.roles.time is None:
+        if not is_recording(self.time):
             return self
-        time = seconds(self.columns[self.roles.time])
-        if not is_recording(time):
-            return self
-        stood = _enough_standstills(self.title, time, _rough_readings(self.columns, self.roles, robot))
+        stood = self.standstills(robot)
         note = f"a recording of {len(self)} rows: the rows are its {plural(len(stood), 'standstill')}"
-        return replace(self, columns=_at_standstills(self.columns, time, stood), notes=(*self.notes, note))
+        return replace(self.settled(stood), notes=(*self.notes, note))
+
+    def standstills(self, robot: Robot) -> list[Standstill]:
+        """Return the standstills of recorded joints.
+
+        Raises:
+            InputError: there are too few to identify a joint mapping.
+        """
+        stood = find_standstills(self.time, _rough_readings(self, robot))
+        if len(stood) < FEWEST_POSES:
+            raise refuse(
+                f"{self.title}: a recording in which the robot stands still {len(stood)} times: expected at least {FEWEST_POSES}, "
+                "each for half a second"
+            )
+        return stood
+
+    def settled(self, stood: Sequence[Standstill]) -> Joined:
+        """Return a row per standstill: the median of numbers and the mode of texts in its settled interval."""
+        meanwhile = [standstill.counts(self.time) for standstill in stood]
+        settled = (_settled_figures if column.is_figures else _settled_text for column in self.columns)
+        columns = tuple(of(column, meanwhile) for of, column in zip(settled, self.columns, strict=True))
+        return replace(self, columns=columns)
 
 
 def joined_rows(
@@ -65,13 +129,14 @@ def joined_rows(
     stated maps calflow's column names to those that the user states; problems collects why tables cannot be joined.
     """
     n = len(robot.driven)
-    each = [(table, _with_stated(table, roles(table, robot), stated)) for table in tables]
-    for table, own in each:
-        if _has_joints(own, table, n) and _has_points(own, table, n):
-            yield Joined(table.title, table.columns, own, table.reasons)
+    each = [
+        Joined(table.path, table.title, table.columns, _with_stated(table, roles(table, robot), stated), table.named, table.reasons)
+        for table in tables
+    ]  # fmt: skip
+    yield from (rows for rows in each if rows.has_joints(n) and rows.has_points(n))
 
-    def apart_in(joints: tuple[ForeignTable, Roles], points: tuple[ForeignTable, Roles]) -> bool:
-        return _has_joints(joints[1], joints[0], n) and _has_points(points[1], points[0], 0)
+    def apart_in(joints: Joined, points: Joined) -> bool:
+        return joints.has_joints(n) and points.has_points()
 
     ordered = ((a, b) if apart_in(a, b) else (b, a) for a, b in combinations(each, 2))
     apart = [pair for pair in ordered if apart_in(*pair)]
@@ -81,20 +146,19 @@ def joined_rows(
         except InputError as error:
             problems += error.problems
     if not apart and not problems:
-        problems += [_untold(table, own, n) for table, own in each]
+        problems += [_untold(rows, table.part, n) for rows, table in zip(each, tables, strict=True)]
 
 
-def _untold(table: ForeignTable, own: Roles, n: int) -> Problem:
+def _untold(rows: Joined, part: str, n: int) -> Problem:
     """The problem of a table that has not both n columns of joints and a point: what cannot be told, and how to name it."""
-    titles = ", ".join(f"'{truncated(column.title)}'" for column in table.columns[:12])
-    joints, points = _has_joints(own, table, n), _has_points(own, table, n)
+    titles = ", ".join(f"'{truncated(column.title)}'" for column in rows.columns[:12])
+    joints, points = rows.has_joints(n), rows.has_points(n)
     what = [f"{plural(n, 'column')} of joints"] * (not joints) + ["x, y and z of a measured point"] * (not points)
     options = ["--column q1_deg=NAME"] * (points or not joints)
     options += ["--column x_mm=NAME --column y_mm=NAME --column z_mm=NAME"] * (joints or not points)
-    part = f"{table.part}: " if table.part else ""
     return Problem(
-        f"{part}cannot tell {' or '.join(what) or 'what it holds'} among its columns {titles}; "
-        f"name them: {' '.join(options)} …", table.path,
+        f"{f'{part}: ' if part else ''}cannot tell {' or '.join(what) or 'what it holds'} among its columns {titles}; "
+        f"name them: {' '.join(options)} …", rows.path,
     )  # fmt: skip
 
 
@@ -115,97 +179,61 @@ def _with_stated(table: ForeignTable, roles: Roles, stated: Mapping[str, str]) -
     )
 
 
-def _has_joints(roles: Roles, table: ForeignTable, n: int) -> bool:
-    return any(len(members) >= n for members in roles.joints.values()) or (
-        not roles.joints and len(without_role(roles, table.columns)) >= n
-    )
-
-
-def _has_points(roles: Roles, table: ForeignTable, beside: int) -> bool:
-    if table.named:
-        return bool(roles.points)
-    return len(without_role(roles, table.columns)) >= beside + 3
-
-
-def without_role(roles: Roles, columns: Sequence[ForeignColumn]) -> list[int]:
-    """Return the numeric columns without a role that may be joints or points.
-
-    Row counters, constant columns and clocks are excluded.
-    """
-    members: tuple[Mapping[Any, int], ...] = (*roles.joints.values(), *roles.points.values(), *roles.turns.values())
-    taken = {roles.time, roles.temperature, *roles.labels.values(), *(k for member in members for k in member.values())}
-    return [
-        k
-        for k, column in enumerate(columns[:WIDEST])
-        if k not in taken and column.is_figures and not (NEITHER & {*name_words(column.name)})
-        and not (np.diff(column.figures) == 1).all() and np.nanstd(column.figures) > 0
-    ]  # fmt: skip
-
-
-def _side_by_side(joints: tuple[ForeignTable, Roles], points: tuple[ForeignTable, Roles], robot: Robot) -> Joined:
+def _side_by_side(joints: Joined, points: Joined, robot: Robot) -> Joined:
     """The rows of two tables matched by the names of poses, by time, or, if equally many, by their order.
 
     Raises:
         InputError: the rows cannot be matched.
     """
-    (first, of_joints), (other, of_points) = joints, points
-    by_pose = _by_pose(first, of_joints, other, of_points)
+    by_pose = _by_pose(joints, points)
     if by_pose is not None:
         mine, theirs = by_pose
-        note = f"rows of {first.title} and {other.title} belong together by '{first.columns[of_joints.labels['pose']].name}'"
-        alone = ((first, len(first) - len(set(mine))), (other, len(other) - len(theirs)))
-        note += "".join(f"; {plural(n, 'row')} of {table.title} without a partner left out" for table, n in alone if n)
-        return _paired(first.rows(mine), of_joints, other.rows(theirs), of_points, note)
-    mine_at = seconds(first.columns[of_joints.time]) if of_joints.time is not None else None
-    theirs_at = seconds(other.columns[of_points.time]) if of_points.time is not None else None
-    if mine_at is not None and is_recording(mine_at):
-        readings = _rough_readings(first.columns, of_joints, robot)
-        return _by_time(first, of_joints, mine_at, readings, other, of_points, theirs_at)
-    if len(first) != len(other):
+        name = joints.columns[joints.roles.labels["pose"]].name
+        note = f"rows of {joints.title} and {points.title} belong together by '{name}'"
+        alone = ((joints, len(joints) - len(set(mine))), (points, len(points) - len(theirs)))
+        note += "".join(f"; {plural(n, 'row')} of {rows.title} without a partner left out" for rows, n in alone if n)
+        return _paired(joints.rows(mine), points.rows(theirs), note)
+    if is_recording(joints.time):
+        return _by_time(joints, points, robot)
+    if len(joints) != len(points):
         raise refuse(
-            f"{first.title} has {plural(len(first), 'row')} of joints and {other.title} {len(other)} of points, and "
+            f"{joints.title} has {plural(len(joints), 'row')} of joints and {points.title} {len(points)} of points, and "
             "nothing that both have says which belong together: expected a column of pose numbers in both, as many rows, or a "
             "recording with times",
-            first.path,
+            joints.path,
         )
-    note = f"rows of {first.title} and {other.title} belong together in their order: there are {len(first)} of each"
-    return _paired(first, of_joints, other, of_points, note)
+    note = f"rows of {joints.title} and {points.title} belong together in their order: there are {len(joints)} of each"
+    return _paired(joints, points, note)
 
 
-def _rough_readings(columns: Sequence[ForeignColumn], roles: Roles, robot: Robot) -> np.ndarray:
+def _rough_readings(rows: Joined, robot: Robot) -> np.ndarray:
     """Approximate joint readings (n_rows, n) [rad], accurate enough to detect motion."""
-    group = preferred(list(roles.joints))[0] if roles.joints else None
-    chosen = (
-        list(roles.joints[group].values())
-        if group is not None
-        else _steadiest(columns, without_role(roles, columns), len(robot.driven))
-    )
-    figures = np.column_stack([columns[k].figures for k in chosen])
-    unit = columns[chosen[0]].unit
+    groups = preferred(list(rows.roles.joints))
+    chosen = list(rows.roles.joints[groups[0]].values()) if groups else _steadiest(rows, len(robot.driven))
+    figures = rows.figures[:, chosen]
+    unit = rows.columns[chosen[0]].unit
     factor = FACTORS.get(unit, np.pi / 180 if np.nanmax(np.abs(figures)) > LARGEST_TURN else 1.0)
     return np.asarray(figures * factor)
 
 
-def _steadiest(columns: Sequence[ForeignColumn], free: Sequence[int], n: int) -> list[int]:
+def _steadiest(rows: Joined, n: int) -> list[int]:
     """The n unnamed columns (by index) with the least change from row to row relative to their range.
 
     These are positions rather than speeds or noise.
     """
 
     def restless(k: int) -> float:
-        figures = columns[k].figures
+        figures = rows.columns[k].figures
         return float(np.nanmedian(np.abs(np.diff(figures))) / np.ptp(figures))
 
-    return sorted(free, key=restless)[:n]
+    return sorted(rows.free, key=restless)[:n]
 
 
-def _by_pose(
-    one: ForeignTable, of_one: Roles, other: ForeignTable, of_other: Roles
-) -> tuple[np.ndarray, np.ndarray] | None:
+def _by_pose(joints: Joined, points: Joined) -> tuple[np.ndarray, np.ndarray] | None:
     """The indices of the rows of two tables that name the same pose, unique in the first; None if too few do."""
-    if "pose" not in of_one.labels or "pose" not in of_other.labels:
+    if not all("pose" in rows.roles.labels for rows in (joints, points)):
         return None
-    names = [_labels(table.columns[roles.labels["pose"]]) for table, roles in ((one, of_one), (other, of_other))]
+    names = [_labels(rows.columns[rows.roles.labels["pose"]]) for rows in (joints, points)]
     first = {name: k for k, name in enumerate(names[0])}
     if len(first) < len(names[0]):
         return None
@@ -225,102 +253,64 @@ def _labels(column: ForeignColumn) -> list[str]:
     return ends if all(ends) and len(set(ends)) == len(set(texts)) else texts
 
 
-def _paired(first: ForeignTable, of_one: Roles, other: ForeignTable, of_other: Roles, note: str) -> Joined:
-    n = len(first.columns)
+def _paired(joints: Joined, points: Joined, note: str) -> Joined:
+    n, mine, theirs = len(joints.columns), joints.roles, points.roles
 
     def moved(members: Mapping[str, int]) -> dict[str, int]:
         return {name: k + n for name, k in members.items()}
 
     both = replace(
-        of_one,
-        points={group: moved(members) for group, members in of_other.points.items()}
-        or _plain_points(of_other, other, n),
-        turns={group: moved(members) for group, members in of_other.turns.items()},
-        labels={**moved(of_other.labels), **of_one.labels},
-        time=of_one.time if of_one.time is not None else None if of_other.time is None else of_other.time + n,
-        temperature=of_other.temperature + n if of_other.temperature is not None else of_one.temperature,
+        mine,
+        points={group: moved(members) for group, members in (theirs.points or _plain_points(points)).items()},
+        turns={group: moved(members) for group, members in theirs.turns.items()},
+        labels={**moved(theirs.labels), **mine.labels},
+        time=mine.time if mine.time is not None else None if theirs.time is None else theirs.time + n,
+        temperature=theirs.temperature + n if theirs.temperature is not None else mine.temperature,
     )
-    reasons = (*(f"{first.title}: {r}" for r in first.reasons), *(f"{other.title}: {r}" for r in other.reasons), note)
-    return Joined(f"{first.title} and {other.title}", (*first.columns, *other.columns), both, reasons)
+    notes = (*(f"{rows.title}: {told}" for rows in (joints, points) for told in rows.notes), note)
+    title, columns = f"{joints.title} and {points.title}", (*joints.columns, *points.columns)
+    return Joined(joints.path, title, columns, both, joints.named, notes)
 
 
-def _plain_points(roles: Roles, table: ForeignTable, n: int) -> dict[tuple[str, ...], dict[str, int]]:
+def _plain_points(rows: Joined) -> dict[tuple[str, ...], dict[str, int]]:
     """The point of a table without names that has exactly three candidate columns."""
-    free = without_role(roles, table.columns)
-    return {ONLY: {axis: k + n for axis, k in zip("xyz", free, strict=True)}} if len(free) == 3 else {}
+    free = rows.free
+    return {ONLY: dict(zip("xyz", free, strict=True))} if len(free) == 3 else {}
 
 
-def _by_time(
-    first: ForeignTable, of_one: Roles, mine_at: np.ndarray, readings: np.ndarray, other: ForeignTable, of_other: Roles,
-    theirs_at: np.ndarray | None,
-) -> Joined:  # fmt: skip
+def _by_time(joints: Joined, points: Joined, robot: Robot) -> Joined:
     """The standstills of recorded joints with the points measured then, matched in order if the clocks differ."""
-    stood = _enough_standstills(first.title, mine_at, readings)
-    joints = replace(first, columns=_at_standstills(first.columns, mine_at, stood))
-    if theirs_at is not None and len(theirs_at) > 1:
-        if _same_clock(mine_at, theirs_at):
-            points = replace(other, columns=_at_standstills(other.columns, theirs_at, stood))
-            seen = np.full(len(stood), True)
-            if of_other.points:
-                seen = np.isfinite(points.columns[next(iter(of_other.points.values()))["x"]].figures)
-            # As many points, some of them of no standstill: the clocks are seconds apart.
-            if seen.all() or len(stood) != len(other):
-                note = (
-                    f"{len(stood)} standstills in {first.title}, at {int(seen.sum())} of which {other.title} has points"
-                )
-                return _paired(joints.rows(seen), of_one, points.rows(seen), of_other, note)
-        elif is_recording(theirs_at):
-            places = (
-                next(iter(of_other.points.values())).values()
-                if of_other.points
-                else without_role(of_other, other.columns)
+    stood = joints.standstills(robot)
+    at_rest, clock = joints.settled(stood), points.time
+    named = next(iter(points.roles.points.values()), None)
+    if len(clock) > 1 and _same_clock(joints.time, clock):
+        then = points.settled(stood)
+        seen = np.isfinite(then.columns[named["x"]].figures) if named else np.full(len(stood), True)
+        # As many points, some of them of no standstill: the clocks are seconds apart.
+        if seen.all() or len(stood) != len(points):
+            note = (
+                f"{len(stood)} standstills in {joints.title}, at {int(seen.sum())} of which {points.title} has points"
             )
-            figures = np.column_stack([other.columns[k].figures for k in places])
-            scale = SCALES.get(other.columns[next(iter(places))].unit, 1e-3)
-            theirs = find_standstills(theirs_at, figures * scale)
-            other = replace(other, columns=_at_standstills(other.columns, theirs_at, theirs))
-    if len(stood) != len(other):
+            return _paired(at_rest.rows(seen), then.rows(seen), note)
+    elif is_recording(clock):
+        places = list(named.values()) if named else points.free
+        scale = SCALES.get(points.columns[places[0]].unit, 1e-3)
+        points = points.settled(find_standstills(clock, points.figures[:, places] * scale))
+    if len(stood) != len(points):
         raise refuse(
-            f"the robot stands still {plural(len(stood), 'time')} in {first.title}, and {other.title} has "
-            f"{plural(len(other), 'point')} on another clock: which belong together cannot be told; expected as many, or one clock",
-            first.path,
+            f"the robot stands still {plural(len(stood), 'time')} in {joints.title}, and {points.title} has "
+            f"{plural(len(points), 'point')} on another clock: which belong together cannot be told; expected as many, or one "
+            "clock",
+            joints.path,
         )
-    note = (
-        f"{len(stood)} standstills in {first.title} and as many points in {other.title} belong together in their order"
-    )
-    return _paired(joints, of_one, other, of_other, note)
-
-
-def _enough_standstills(title: str, time: np.ndarray, readings: np.ndarray) -> list[Standstill]:
-    """The standstills of a recording.
-
-    Raises:
-        InputError: there are too few to identify a joint mapping.
-    """
-    stood = find_standstills(time, readings)
-    if len(stood) < FEWEST_POSES:
-        raise refuse(
-            f"{title}: a recording in which the robot stands still {len(stood)} times: expected at least {FEWEST_POSES}, each for "
-            "half a second"
-        )
-    return stood
+    note = f"{len(stood)} standstills in {joints.title} and as many points in {points.title} belong together in their order"
+    return _paired(at_rest, points, note)
 
 
 def _same_clock(mine: np.ndarray, theirs: np.ndarray) -> bool:
     """Whether two time columns overlap by more than half of the shorter one."""
     common = min(mine.max(), theirs.max()) - max(mine.min(), theirs.min())
     return bool(common > 0.5 * min(np.ptp(mine), np.ptp(theirs)))
-
-
-def _at_standstills(
-    columns: Sequence[ForeignColumn], time: np.ndarray, stood: Sequence[Standstill]
-) -> tuple[ForeignColumn, ...]:
-    """The columns with one row per standstill: the median of numbers and the mode of texts in its settled interval."""
-    meanwhile = [standstill.counts(time) for standstill in stood]
-    return tuple(
-        _settled_figures(column, meanwhile) if column.is_figures else _settled_text(column, meanwhile)
-        for column in columns
-    )
 
 
 def _settled_figures(column: ForeignColumn, meanwhile: Sequence[np.ndarray]) -> ForeignColumn:
