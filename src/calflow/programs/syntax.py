@@ -22,7 +22,7 @@ MOST_EXPECTED = 6  # tokens that a message names
 DEEPEST = 60  # nesting depth of brackets, below Python's limit of recursion
 NUMBER = re.compile(r"[-+.\dEe]+")
 MEANINGS = {"NAME": "a name", "NUMBER": "a number", "STRING": "a text", "_NL": "the end of the line", "$END": "the end of the file",
-            "QUOTED": "a configuration in quotes"}  # fmt: skip
+            "_TEXT": "a line", "INSTRUCTION": "an instruction", "INDEX": "a whole number", "GROUP": "a group, as GP1"}  # fmt: skip
 OPERATORS = {"OPERATOR", "SIGN", "LESS", "MORE", "COLON", "DOT"}
 
 
