@@ -177,9 +177,9 @@ def test_springs_that_may_not_push_are_paid_for_as_those_that_pull(measured):
     setup = Setup.of(measured)
     hung = setup.with_robot(replace(setup.model.robot, gravity=(0.0, 0.0, 9.8))).fitted
     springs = [k for k, p in enumerate(hung.setup.model.parameters) if p.effect == "joint-compliance"]
-    held = [k for k in springs if not hung.fit.estimate[k]]
+    held = [k for k in springs if not hung.estimate[k]]
     assert len(held) >= 3
-    assert hung.fit.volume < hung.setup.without_springs.fitted.fit.volume - 0.5 * len(held)
+    assert hung.volume < hung.setup.without_springs.fitted.volume - 0.5 * len(held)
 
 
 def test_a_device_that_was_moved_at_a_row(measured):

@@ -148,25 +148,20 @@ def correct(data: Measurements, fault: Fault) -> Measurements:
     before, table = data.table, data.table.copy()
     of_series = [correction for correction in fault.corrections if _is_setting(data, correction)]
     data = reduce(_without_setting, of_series, data)
-    of_rows = [made for made in fault.corrections if made not in of_series and not made.source]
-    for quantity in dict.fromkeys(correction.quantity for correction in of_rows if correction.quantity):
-        same = [correction for correction in of_rows if correction.quantity == quantity]
-        which, factor, offset = (
-            np.array([getattr(correction, name) for correction in same]) for name in ("row", "factor", "offset")
-        )
-        at = which - 1 if which[0] else slice(None)
-        names = EXCHANGED.get(quantity, AXES if quantity == POSITION else (quantity,))
-        values = table[[*names]].to_numpy(copy=True)
-        mended = values[at] * factor[:, None] + offset[:, None]
-        values[at] = mended[:, ::-1] if quantity in EXCHANGED else mended
-        table[[*names]] = values
-    copied = [correction for correction in fault.corrections if correction.source]
-    for quantity in dict.fromkeys(correction.quantity for correction in copied):
-        rows, sources = np.array([(made.row - 1, made.source - 1) for made in copied if made.quantity == quantity]).T
-        for name in [quantity] if quantity else [name for name in DEVICE_COLUMNS if name in table]:
-            theirs = table[name].to_numpy(copy=True)
-            theirs[rows] = before[name].to_numpy()[sources]
-            table[name] = theirs
+    changing = [made for made in fault.corrections if made not in of_series and (made.quantity or made.source)]
+    for quantity, copied in dict.fromkeys((made.quantity, made.source > 0) for made in changing):
+        same = [made for made in changing if (made.quantity, made.source > 0) == (quantity, copied)]
+        row, source, factor, offset = np.array([(made.row, made.source, made.factor, made.offset) for made in same]).T
+        at = row.astype(int) - 1 if row[0] else slice(None)
+        quantities = {"": DEVICE_COLUMNS, POSITION: AXES, **EXCHANGED}.get(quantity, (quantity,))
+        names = [name for name in quantities if name in table]
+        values = table[names].to_numpy(copy=True)
+        if copied:
+            values[at] = before[names].to_numpy()[source.astype(int) - 1]
+        else:
+            mended = values[at] * factor[:, None] + offset[:, None]
+            values[at] = mended[:, ::-1] if quantity in EXCHANGED else mended
+        table[names] = values
     if fault.action == "left out":
         split = table["split"].to_numpy(copy=True)
         split[[correction.row - 1 for correction in fault.corrections]] = ""

@@ -67,7 +67,7 @@ def loads_late(data: Measurements, as_read: FittedSetup) -> Iterator[Mistake]:
     some, undone = _judged_rows(data, as_read), [partial(_shifted_payloads, data, rows) for rows in by]
 
     def best(robot: FittedSetup) -> int:
-        return int(np.argmin([level(_position_errors(robot, undo(some))) for undo in undone]))
+        return int(np.argmin([level(robot.errors_at(undo(some))) for undo in undone]))
 
     first = best(as_read)
     moved = payload[np.clip(np.arange(len(data)) + by[first], 0, len(data) - 1)] != payload
@@ -87,7 +87,7 @@ def _judged_rows(data: Measurements, as_read: FittedSetup) -> Setup:
     It is without rows that are off by themselves: a single one would outweigh a change of all others in sums of squares.
     """
     rows = spaced(np.flatnonzero(data.train | data.held_out), MAX_ROWS)
-    miss = _position_errors(as_read, as_read.setup.at(data, rows))
+    miss = as_read.errors_at(as_read.setup.at(data, rows))
     return as_read.setup.at(data, rows[~(miss > ALONE * np.sort(miss)[-MIN_ROWS:].min(initial=np.inf))])
 
 
@@ -127,7 +127,7 @@ def _with_gravity(gravity: Vector, setup: Setup) -> Setup:
 def setup_changes(data: Measurements, as_read: FittedSetup) -> Iterator[Mistake]:
     """Yield a device or tool that changed at some row, and sessions with separate frames, if the errors indicate it."""
     some = _judged_rows(data, as_read)
-    sums = rigid_sums(as_read.fit.predicted(some.conditions), some.position)
+    sums = rigid_sums(as_read.predicted(some.conditions), some.position)
     if "session" in data.given:
         yield from _sessions(data, as_read, some, sums)
     yield from _device(data, as_read, some, sums)
@@ -141,7 +141,7 @@ def _in_some_rows(data: Measurements, as_read: FittedSetup, some: Setup) -> Iter
     """Yield mistakes of the table before or after some row, in a session, or in rows that their correction explains."""
     plain, number, line = rigid_sums(some.points(), some.position), np.arange(len(data)), data.table["line"].to_numpy()
     ends, once = np.arange(MIN_ROWS - 1, len(plain) - MIN_ROWS), LOG_ODDS - np.log(len(plain))
-    sessions, before = sessions_of(data), _position_errors(as_read, some)
+    sessions, before = sessions_of(data), as_read.errors_at(some)
     near: list[Part] = []
     mending: list[Part] = []
     for mistake in row_mistakes(data):
@@ -158,7 +158,7 @@ def _in_some_rows(data: Measurements, as_read: FittedSetup, some: Setup) -> Iter
             if not later:
                 which = f"up to {line_in_words(data, first - 1)}, not after"
             near.append((float(errors[k]), mistake, (number >= first) == bool(later), which, once))
-        better = some.numbers[as_read.fit.better(before, _position_errors(as_read, undone))]
+        better = some.numbers[as_read.better(before, as_read.errors_at(undone))]
         if len(better) >= MIN_ROWS:
             which = f"in {lines_in_words(line[better])}"
             mending.append((-len(better), mistake, np.isin(number, better), which, once))
@@ -169,11 +169,6 @@ def _in_some_rows(data: Measurements, as_read: FittedSetup, some: Setup) -> Iter
     ]
     for _, mistake, rows, which, log_prior in (*near, *sorted(mending, key=itemgetter(0))[:FITTED]):
         yield mistake.within(rows, which, log_prior)
-
-
-def _position_errors(explanation: FittedSetup, setup: Setup) -> np.ndarray:
-    """Return the norms of the position residuals of an explanation, shape (n_rows,) [m]."""
-    return lengths(setup.position - explanation.fit.predicted(setup.conditions))
 
 
 @dataclass(frozen=True)
@@ -199,7 +194,7 @@ def _joint(data: Measurements, as_read: FittedSetup, some: Setup) -> Iterator[Mi
     if not steps:
         return
     step = min(steps, key=attrgetter("left"))
-    miss, later = _position_errors(as_read, some), some.numbers >= step.first
+    miss, later = as_read.errors_at(some), some.numbers >= step.first
     off = bool(level(miss[later]) > level(miss[~later]))  # whether the later rows are off
     for _ in range(ROUNDS):
         explanation, before = step.undone(off, as_read.setup).fitted, step
@@ -239,8 +234,8 @@ def _step(explanation: FittedSetup, some: Setup, undone: Setup, joint: int) -> Z
 
 def _joint_residuals(explanation: FittedSetup, setup: Setup, joint: int) -> tuple[np.ndarray, np.ndarray]:
     """Return position residuals [m], and their derivatives by a joint [m/rad], each (n_rows, 3)."""
-    error = setup.position - explanation.fit.predicted(setup.conditions)
-    return np.nan_to_num(error), np.nan_to_num(explanation.fit.moved(setup.conditions, joint, SMALL) / SMALL)
+    error = setup.position - explanation.predicted(setup.conditions)
+    return np.nan_to_num(error), np.nan_to_num(explanation.moved(setup.conditions, joint, SMALL) / SMALL)
 
 
 def _device(data: Measurements, as_read: FittedSetup, some: Setup, sums: np.ndarray) -> Iterator[Mistake]:
@@ -283,7 +278,7 @@ def _separate_frames(
     names = sessions_of(data)
     setup = Setup.of(data, SessionFrame(data.robot, names))
     setup = setup.freed(*(k for k, p in enumerate(setup.model.parameters) if p.effect == SessionFrame.id))
-    points, position, far = as_read.fit.predicted(as_read.setup.conditions), setup.position.copy(), 0.0
+    points, position, far = as_read.predicted(as_read.setup.conditions), setup.position.copy(), 0.0
     of = data.session[setup.numbers]
     if min(np.count_nonzero(of == name) for name in names) < PLACING:
         return
@@ -332,10 +327,10 @@ def _tool(data: Measurements, as_read: FittedSetup, some: Setup) -> Iterator[Mis
 
 def _flange_residuals(explanation: FittedSetup, setup: Setup) -> np.ndarray:
     """Return position residuals in the flange's frame, shape (n_rows, 3) [m]."""
-    fit = explanation.fit
-    error = (setup.position - fit.predicted(setup.conditions)) @ fit.turn
-    markers = [k for k, p in enumerate(fit.model.parameters) if p.part in fit.model.robot.markers]
-    moved = fit.model.position_jacobian(fit.estimate, setup.conditions)[:, :, markers]
+    model = explanation.model
+    error = (setup.position - explanation.predicted(setup.conditions)) @ explanation.turn
+    markers = [k for k, p in enumerate(model.parameters) if p.part in model.robot.markers]
+    moved = model.position_jacobian(explanation.estimate, setup.conditions)[:, :, markers]
     flange = moved.reshape(len(moved), 3, -1, 3).sum(axis=2)
     return np.nan_to_num(np.einsum("nij,ni->nj", flange, error))
 

@@ -133,7 +133,7 @@ def _refined(data: Measurements, reference: Reference, block: TurnedBlock) -> tu
     """
     pose = data.table["pose"].to_numpy()
     for _ in range(REFINED):
-        again = Reference.of(undone := block.undone(data), reference.fitted.setup.on(undone))
+        again = Reference.of(undone := block.undone(data), reference.fit.setup.on(undone))
         if again is None:
             return None
         fit = again.fit

@@ -30,7 +30,7 @@ def unit_mistake(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
     there, fit = reference.setup.at(data, rows), reference.fit
     tried = [mistake for mistake in row_mistakes(data) if mistake.id == "unit-mistake"]
     undone = [mistake.undo(there) for mistake in tried]
-    after = np.stack([lengths(setup.position - fit.predicted(setup.conditions)) for setup in undone])
+    after = np.stack([fit.errors_at(setup) for setup in undone])
     better = fit.better(reference.miss[rows], after)
     only = better & (better.sum(axis=0) == 1)
     for mistake, mended in zip(tried, only, strict=True):

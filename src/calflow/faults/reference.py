@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from calflow.estimation.noise import conditions
-from calflow.faults.rough import RobustFit, lengths
+from calflow.faults.rough import lengths
 from calflow.faults.setup import FittedSetup, Setup
 from calflow.measurements.measurements import Measurements
 
@@ -18,11 +18,11 @@ EQUATIONS = 2.4  # least equations per parameter: with fewer, some rows are fitt
 
 @dataclass(frozen=True)
 class Reference:
-    """A robust fit to the rows of a data set; setup: theirs with all parameters, fitted: that of the fit."""
+    """A robust fit to the rows of a data set; setup: theirs with all parameters, which the fit's may lack."""
 
     data: Measurements
     setup: Setup
-    fitted: FittedSetup
+    fit: FittedSetup
 
     @staticmethod
     def of(data: Measurements, setup: Setup | None = None) -> Reference | None:
@@ -37,15 +37,10 @@ class Reference:
                 return Reference(data, setup, candidate.fitted)
         return None
 
-    @property
-    def fit(self) -> RobustFit:
-        """The robust fit."""
-        return self.fitted.fit
-
     @cached_property
     def spread(self) -> float:
         """The size of the measured space [m]."""
-        position = self.fitted.setup.position
+        position = self.fit.setup.position
         return float(np.median(lengths(position - np.median(position, axis=0))))
 
     @property

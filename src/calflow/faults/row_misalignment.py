@@ -29,9 +29,9 @@ def row_misalignment(data: Measurements, reference: Reference) -> tuple[Fault, .
     if reference.plausible and reference.gross.sum() < MIN_SHIFTED_ROWS:
         return ()
     lags = _lags(data)
-    guess = _initial_sources(data, reference.fitted.setup, lags)
+    guess = _initial_sources(data, reference.fit.setup, lags)
     moved = None if guess is None else reduce(correct, _shifted(data, guess), data)
-    again = None if moved is None else Reference.of(moved, reference.fitted.setup.on(moved))
+    again = None if moved is None else Reference.of(moved, reference.fit.setup.on(moved))
     references = [other for other in (reference, again) if other and other.plausible]
     alignments = [alignment for other in references for alignment in _realigning(data, other.fit, lags)]
     if not alignments:

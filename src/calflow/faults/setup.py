@@ -134,7 +134,7 @@ class Setup:
         """
         links = {k: p for k, p in enumerate(self.model.parameters) if p.effect == Geometry.id and p.joint}
         anything = {k for k in links if self.sd[k] == PLACED_SD}
-        errors = self.rigid.fitted.fit.estimate if anything else self.mean
+        errors = self.rigid.fitted.estimate if anything else self.mean
         figures = {(p.joint, p.symbol): p.figure + errors[k] for k, p in links.items() if errors[k]}
         if not figures:
             return self
@@ -184,7 +184,8 @@ class Setup:
         """The robust fit, which starts from that of the base."""
         turn, shift, _ = motion(self.points(), self.position)
         prior = self._mean_near(turn, shift), self.sd
-        return FittedSetup(self, robust_fit(self.model, self.conditions, self.position, turn, shift, *prior, self.mean))
+        fit = robust_fit(self.model, self.conditions, self.position, turn, shift, *prior, self.mean)
+        return FittedSetup(**vars(fit), setup=self)
 
     @property
     def base(self) -> list[int]:
@@ -240,24 +241,26 @@ def _at(data: Measurements, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, n
 
 
 @dataclass(frozen=True)
-class FittedSetup:
+class FittedSetup(RobustFit):
     """A set-up with its robust fit."""
 
     setup: Setup
-    fit: RobustFit
+
+    def errors_at(self, setup: Setup) -> np.ndarray:
+        """Return the position errors of another set-up's rows, shape (n_rows,) [m]."""
+        return lengths(setup.position - self.predicted(setup.conditions))
 
     @cached_property
     def error(self) -> np.ndarray:
         """The position errors in units of the table, shape (n_rows,) [m]."""
-        miss = lengths(self.setup.position - self.fit.predicted(self.setup.conditions))
-        return miss / self.setup.magnification
+        return self.errors_at(self.setup) / self.setup.magnification
 
     @cached_property
     def likelihood(self) -> float:
         """The log likelihood of the table's positions at the fit, scaled to the number of independent rows."""
-        if not np.isfinite(self.fit.estimate).all():
+        if not np.isfinite(self.estimate).all():
             return -np.inf
-        scale, tail = np.hypot(self.fit.scale, PHYSICS) / self.setup.magnification, WIDTH**2
+        scale, tail = np.hypot(self.scale, PHYSICS) / self.setup.magnification, WIDTH**2
         surprise = 3 * np.log(scale) + (tail + 3) / 2 * np.log1p((np.minimum(self.error, 1e3) / scale) ** 2 / tail)
         # A pose error has six degrees of freedom, those of two markers.
         share = self.setup.seen.clip(max=2).sum() / len(self.error)
@@ -266,13 +269,13 @@ class FittedSetup:
     @property
     def suspicious(self) -> bool:
         """Whether parameters, scale or share of outliers exceed those of any robot as stated."""
-        deviation = np.abs(self.fit.deviations[self.fit.sd < PLACED_SD]).max(initial=0.0)
-        return bool(deviation > SUSPECT or self.fit.scale > SUSPECT_SCALE or self.gross > SINGLE)
+        deviation = np.abs(self.deviations[self.sd < PLACED_SD]).max(initial=0.0)
+        return bool(deviation > SUSPECT or self.scale > SUSPECT_SCALE or self.gross_share > SINGLE)
 
     @property
-    def gross(self) -> float:
+    def gross_share(self) -> float:
         """The share of rows with gross errors."""
-        return float((self.error > self.fit.gross).mean())
+        return float((self.error > self.gross).mean())
 
     @property
     def evidence(self) -> float:
@@ -293,23 +296,22 @@ class FittedSetup:
     @cached_property
     def log_prior(self) -> float:
         """The log of the prior density at the estimate times the posterior volume (Occam factor)."""
-        fit, sd = self.fit, self.fit.sd
-        return float(fit.volume - (fit.deviations[(sd > 0) & (sd < PLACED_SD)] ** 2).sum() / 2)
+        uncertain = (self.sd > 0) & (self.sd < PLACED_SD)
+        return float(self.volume - (self.deviations[uncertain] ** 2).sum() / 2)
 
     @property
     def displacements(self) -> np.ndarray:
         """The displacements of stated base and markers [m and rad]."""
-        return np.abs(self.fit.deviations[list(self.setup.stated)]) * STATED_SD
+        return np.abs(self.deviations[list(self.setup.stated)]) * STATED_SD
 
     @property
     def base(self) -> tuple[np.ndarray, np.ndarray]:
         """The base pose in the measuring frame: turn (3, 3) and origin (3,) [m]."""
-        fit = self.fit
-        small = {fit.model.parameters[k].symbol: fit.estimate[k] for k in self.setup.base}
-        turn = fit.turn @ Rotation.from_euler("XYZ", [small["rx"], small["ry"], small["rz"]]).as_matrix()
-        return turn, fit.turn @ np.array([small["x"], small["y"], small["z"]]) + fit.shift
+        small = {self.model.parameters[k].symbol: self.estimate[k] for k in self.setup.base}
+        turn = self.turn @ Rotation.from_euler("XYZ", [small["rx"], small["ry"], small["rz"]]).as_matrix()
+        return turn, self.turn @ np.array([small["x"], small["y"], small["z"]]) + self.shift
 
     def figure(self, parameter: Parameter) -> float:
         """Return the estimated value of a dimension, in SI."""
-        there = [p.identity for p in self.fit.model.parameters].index(parameter.identity)
-        return float(self.fit.model.parameters[there].figure + self.fit.estimate[there])
+        there = [p.identity for p in self.model.parameters].index(parameter.identity)
+        return float(self.model.parameters[there].figure + self.estimate[there])

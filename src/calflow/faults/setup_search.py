@@ -114,19 +114,19 @@ def _screened(data: Measurements, setup: Setup) -> list[Mistake]:
 def _explaining(as_read: FittedSetup, tried: Iterable[Mistake]) -> list[PossibleMistake]:
     """Return the mistakes without which the fit is far better than as stated."""
     explained = [(mistake, mistake.undo(as_read.setup).restated.registered.fitted) for mistake in tried]
-    most = min(max(SUSPECT_SCALE, as_read.fit.scale / FAR_BETTER), NO_WORSE * as_read.fit.scale)
+    most = min(max(SUSPECT_SCALE, as_read.scale / FAR_BETTER), NO_WORSE * as_read.scale)
 
     def most_gross(left: float) -> float:
         """Return the share of rows that may remain gross if all others are left with errors of this scale."""
-        if as_read.fit.scale <= SUSPECT_SCALE:
+        if as_read.scale <= SUSPECT_SCALE:
             return SINGLE  # a mistake must explain gross rows, where only these are wrong
         return MOST_GROSS_BESIDE if left < SUSPECT_SCALE else MOST_GROSS
 
     return [
         PossibleMistake(mistake, explanation, explanation.evidence + mistake.log_prior)
         for mistake, explanation in explained
-        if explanation.fit.scale < most
-        and explanation.gross < most_gross(explanation.fit.scale)
+        if explanation.scale < most
+        and explanation.gross_share < most_gross(explanation.scale)
         and explanation.log_odds(as_read) + mistake.log_prior > MIN_LOG_ODDS
     ]
 
