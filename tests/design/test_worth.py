@@ -35,7 +35,8 @@ def plan_of(robot):
         * model.prior_sd
     )
     asked = SelectionRequest(number=POSES, marker=marker, planned=PLANNED, order="random", drift=1e-4)
-    return PlanInformation(model, asked, drawn[:POSES], np.eye(len(model.parameters)), task, further)
+    own = asked.whitened(model, drawn[:POSES])
+    return PlanInformation(model, asked, drawn[:POSES], own, np.eye(len(model.parameters)), task, further)
 
 
 @pytest.fixture(scope="module")

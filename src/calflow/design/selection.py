@@ -195,7 +195,7 @@ def select(
     curve = observability(
         chosen[greedy(chosen, prior, request.number, criterion)], prior, tool, request.there is not None
     )
-    plan = PlanInformation(model, request, poses, prior, tool, further)
+    plan = PlanInformation(model, request, poses, chosen, prior, tool, further)
     how_many = _how_many(plan, whitened, curve, rng)
     every = orders(plan, rng("order"))
     ordered, reached_from = poses[every[request.order]], None

@@ -56,21 +56,17 @@ class Worth:
 class PlanInformation:
     """A plan and its information: readings (n, n_joints), and the prior information (n_parameters, n_parameters).
 
-    Parameters are scaled by their priors' standard deviations; further (n_further, n_units, n_parameters): whitened
-    Jacobians of the poses that would be measured next, the best first.
+    own (n, n_units, n_parameters), further (n_further, n_units, n_parameters): whitened Jacobians of its poses, and of those
+    that would be measured next, the best first. Parameters are scaled by their priors' standard deviations.
     """
 
     model: Model
     request: SelectionRequest
     readings: np.ndarray
+    own: np.ndarray
     prior: np.ndarray
     tool: ToolError
     further: np.ndarray
-
-    @cached_property
-    def own(self) -> np.ndarray:
-        """The poses' whitened Jacobians (n, n_units, n_parameters)."""
-        return self.request.whitened(self.model, self.readings)
 
     @cached_property
     def covariance(self) -> np.ndarray:
