@@ -56,8 +56,8 @@ def simulated(design: Design, degrees: int, rng: np.random.Generator) -> float:
     basis = np.linalg.qr(regressors / of_means[:, None])[0]
     whitened = mean.ravel() / of_means
     left = whitened - basis @ (basis.T @ whitened)
-    poses, none = np.arange(design.poses), np.zeros(design.poses, dtype=bool)
-    told = Evidence(poses, count, squared / sigma**2, freedom, none, np.zeros(design.poses, dtype=int))
+    poses = np.arange(design.poses)
+    told = Evidence(squared / sigma**2, freedom, poses, count, 0 * poses)
     return lack_of_fit(left * of_means, of_means, PARAMETERS, poses.repeat(3), told).p
 
 

@@ -25,7 +25,7 @@ def one(repeated: int, times: int, degrees: int, rng: np.random.Generator, misfi
     sigma = float(np.sqrt(squared.sum() / freedom.sum())) if repeated else 1.0
     error = (mean + misfit * rng.standard_normal((POSES, 3))).ravel()
     poses = np.arange(POSES)
-    told = Evidence(poses, count, squared / sigma**2, freedom, 0 * poses)
+    told = Evidence(squared / sigma**2, freedom, poses, count, 0 * poses)
     return lack_of_fit(error, sigma / np.sqrt(np.repeat(count, 3)), 0, poses.repeat(3), told)
 
 
@@ -53,7 +53,7 @@ def test_rows_that_share_their_pose_are_one_piece_of_evidence():
     """Fails if three markers, which share the error of repeating a pose, count as three."""
     rng = np.random.default_rng(33)
     poses = np.arange(POSES)
-    told = Evidence(poses.repeat(3), np.ones(3 * POSES), np.zeros(3 * POSES), np.zeros(3 * POSES), 0 * poses.repeat(3))
+    told = Evidence(np.zeros(3 * POSES), np.zeros(3 * POSES), poses.repeat(3), np.ones(3 * POSES), 0 * poses.repeat(3))
     p = []
     for _ in range(CASES):
         error = np.repeat(rng.standard_normal((POSES, 1, 3)), 3, axis=1).ravel()

@@ -28,7 +28,7 @@ def model():
 def lack_of(error: np.ndarray, sigma: np.ndarray, determined: float) -> LackOfFit:
     """The lack of fit of errors of stated noise, each a pose of its own."""
     rows, nothing = np.arange(len(error)), np.zeros(len(error))
-    evidence = Evidence(rows, nothing + 1, nothing, nothing, 0 * rows)
+    evidence = Evidence(nothing, nothing, rows, nothing + 1, 0 * rows)
     return lack_of_fit(error, sigma, determined, rows, evidence)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import scipy
 
 from calflow.estimation.accuracy import judged_unit
-from calflow.estimation.noise import MIN_REPEATS, Noise, averaged, repeats_scatter, stated_noise
+from calflow.estimation.noise import MIN_REPEATS, Noise, Scatter, averaged, repeats_scatter, stated_noise
 from calflow.files.tables import column
 from calflow.files.units import METRE, MeasurementUnit
 from calflow.files.words import rounded
@@ -36,31 +36,26 @@ class LackOfFit:
 
 
 @dataclass(frozen=True, eq=False)
-class Evidence:
+class Evidence(Scatter):
     """Independent evidence on the noise of a fit's rows, each attribute an array (n_rows,).
 
-    pose: number of the pose, whose rows may share errors; count: number of repeats of which a row is the mean; squared: their
-    sum of squares about the mean, in units of the noise's variance; freedom: its degrees of freedom, zero where the noise is
-    stated; series: number of the series, each with its own noise.
+    squared: scatter of the repeats of which a row is the mean, in units of the noise's variance; freedom: its degrees of freedom,
+    zero where the noise is stated; pose: number of the pose, whose rows may share errors; count: number of repeats; series: number
+    of the series, each with its own noise.
     """
 
     pose: np.ndarray
     count: np.ndarray
-    squared: np.ndarray
-    freedom: np.ndarray
     series: np.ndarray
 
     @staticmethod
     def of(data: Measurements, noise: Noise) -> Evidence:
         """Return the evidence from the means of repeats (see `averaged`) and their noise."""
-        pose = np.unique(data.table["pose"], return_inverse=True)[1]
-        nothing = np.zeros(len(data))
+        pose, single = np.unique(data.table["pose"], return_inverse=True)[1], noise.sigma * np.sqrt(data.repeats)
         repeats = np.any([noise.of_series(k) & (s == "repeats") for k, s in enumerate(noise.sources)], axis=0)
-        if noise.scatter is None or not repeats.any():
-            return Evidence(pose, data.repeats, nothing, nothing, data.series_number)
-        single = noise.sigma * np.sqrt(data.repeats)
-        return Evidence(pose, data.repeats, np.where(repeats, noise.scatter.squared / single**2, 0.0),
-                        np.where(repeats, noise.scatter.freedom, 0.0), data.series_number)  # fmt: skip
+        scatter = noise.scatter or Scatter(np.zeros(len(data)), np.zeros(len(data)))
+        every = Evidence(scatter.squared / single**2, scatter.freedom, pose, data.repeats, data.series_number)
+        return every.only_where(repeats)
 
     def only_where(self, rows: np.ndarray) -> Evidence:
         """Return a copy that uses the repeats of the rows in a mask alone, and takes the others' noise as stated."""
@@ -101,30 +96,28 @@ def _tested(squared: np.ndarray, share: float, rows: np.ndarray, known_noise: Ev
     noise (Box and Andersen 1955), estimated from the spread over poses of both squared errors and squared scatter, so that
     neither heavy tails nor errors shared within a pose count as evidence.
     """
-    here = np.unique(rows)
-    n_series = int(known_noise.series.max()) + 1
-    units = np.bincount(known_noise.series[rows], minlength=n_series)
-    freedom = np.bincount(known_noise.series[here], weights=known_noise.freedom[here], minlength=n_series)
-    scatter = np.bincount(known_noise.series[here], weights=known_noise.squared[here], minlength=n_series)
-    level = np.where(freedom > 0, scatter / np.maximum(freedom, 1e-9), 1.0)
+    here, row = np.unique(rows, return_inverse=True)
+    known = known_noise.only(here)
+    units, of_series = np.bincount(known.series[row]), known.gathered(known.series)
+    level = np.where(of_series.freedom > 0, of_series.squared / np.maximum(of_series.freedom, 1e-9), 1.0)
     level = np.where(level > 0, level, 1.0)
-    weight = np.where(freedom > 0, units / units.sum() / np.maximum(freedom, 1e-9), 0.0)[known_noise.series]
-    squared = squared / level[known_noise.series[rows]]
+    share_of = units / units.sum() / np.maximum(of_series.freedom, 1e-9)
+    weight = np.where(of_series.freedom > 0, share_of, 0.0)[known.series]
+    squared = squared / level[known.series[row]]
 
-    pose = np.unique(known_noise.pose[here], return_inverse=True)[1]
-    of_unit = pose[np.searchsorted(here, rows)]
-    squares, n = np.bincount(of_unit, weights=squared), np.bincount(of_unit)
-    repeats = np.bincount(pose, weights=known_noise.count[here]) / np.bincount(pose)
-    between, within = n * (1 - share), np.bincount(pose, weights=known_noise.freedom[here])
-    shown = np.bincount(pose, weights=known_noise.squared[here] / level[known_noise.series[here]])
-    against = np.bincount(pose, weights=(weight * known_noise.freedom)[here])
+    pose = np.unique(known.pose, return_inverse=True)[1]
+    squares, n = np.bincount(pose[row], weights=squared), np.bincount(pose[row])
+    repeats = np.bincount(pose, weights=known.count) / np.bincount(pose)
+    between, within = n * (1 - share), np.bincount(pose, weights=known.freedom)
+    shown = np.bincount(pose, weights=known.squared / level[known.series])
+    against = np.bincount(pose, weights=weight * known.freedom)
 
     d1 = max(1.0, float(between.sum()))
     reduced = float(squares.sum()) / d1
     scaled = squares / max(reduced, 1e-300)
     tails = float(((scaled - between) ** 2 - 2 * between + (shown - within) ** 2 - 2 * within).sum())
     kurtosis = max(0.0, tails / float(((between**2 + within**2) / (n * repeats)).sum()))
-    of_scatter = float(2 * (weight**2 * known_noise.freedom)[here].sum())
+    of_scatter = float(2 * (weight**2 * known.freedom).sum())
     plain = 2 / d1 + of_scatter
     reduction = plain / (plain + kurtosis * float((n / repeats * (between / (n * d1) - against / n) ** 2).sum()))
     if not of_scatter:
