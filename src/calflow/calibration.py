@@ -71,6 +71,7 @@ from calflow.estimation.identifiability import (
     Statement,
     best_subset,
     correlations,
+    left_open,
     redundant,
     wrong_counts,
 )
@@ -780,7 +781,7 @@ def _identified_tables(fitted: FittedEffects, faults: tuple[Fault, ...]) -> Resu
         "identify/parameters.csv": Parameters.fitted(fit, fit.covariance).table,
         "identify/accuracy.csv": to_frame(fitted.steps, Accuracy),
         "identify/residuals.csv": judged(fit, fitted.data, fitted.noise),
-        "identify/identifiability.csv": fitted.identifiability.statements,
+        "identify/identifiability.csv": left_open(fit),
         "identify/correlations.csv": correlations(fit),
         "identify/observations.csv": observation_table(observed),
         "identify/placement.csv": placement_table(fitted.data.robot, observed),

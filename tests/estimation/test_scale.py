@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from calflow.estimation.fit import fit
-from calflow.estimation.identifiability import identifiability
+from calflow.estimation.identifiability import Statement, left_open
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import Noise
 from calflow.estimation.registration import registered
+from calflow.files.tables import from_frame
 from calflow.measurements.measurements import combined
 from calflow.measurements.series import Series
 from calflow.model import build
@@ -39,8 +40,8 @@ def statements(robot, *series):
     robot, observed = registered(robot, observations(data), data)
     model = build(robot, ("geometry",), data.given, observed)
     noise = Noise(np.full(len(data), SIGMA), ("file",) * len(series), series=data.series_number)
-    found = identifiability(fit(LeastSquares.of(model, data.on(robot), noise))[0])
-    return [one for one in found.left_open if one.kind == "scale"]
+    found = left_open(fit(LeastSquares.of(model, data.on(robot), noise))[0])
+    return [one for one in from_frame(found, Statement) if one.kind == "scale"]
 
 
 def test_sockets_alone_do_not_say_how_large_the_robot_is(rows):

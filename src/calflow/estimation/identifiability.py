@@ -68,22 +68,18 @@ class Counted:
     kept: bool = column("whether it is among those that add most information")
 
 
-@dataclass(frozen=True)
-class Identifiability:
-    """Number of directions that the data determine, in all and by effect, and the directions they leave open."""
-
-    rank: int
-    rank_by_effect: Mapping[str, int]
-    left_open: tuple[Statement, ...]
-
-    @property
-    def statements(self) -> pd.DataFrame:
-        """What the data leave open, as a table."""
-        return to_frame(self.left_open, Statement)
+def rank_by_effect(fit: Fit) -> dict[str, int]:
+    """Return the number of directions that the data determine, by the effect that adds them to those before it."""
+    scaled, ranks = _scaled(fit), dict[str, int]()
+    effects = np.array([parameter.effect for parameter in fit.model.parameters])
+    for effect in dict.fromkeys(effects):
+        singular = np.linalg.svd(scaled[:, np.isin(effects, [*ranks, effect])], compute_uv=False)
+        ranks[effect] = int((singular >= KNOWN).sum()) - sum(ranks.values())
+    return ranks
 
 
-def identifiability(fit: Fit) -> Identifiability:
-    """Analyse the singular values and vectors of a fit's Jacobian, scaled by the priors' standard deviations."""
+def left_open(fit: Fit) -> pd.DataFrame:
+    """Return the table of `Statement`s on what the data leave open."""
     parameters = fit.model.parameters
     names = [parameter.name for parameter in parameters]
     scaled = _scaled(fit)
@@ -111,14 +107,7 @@ def identifiability(fit: Fit) -> Identifiability:
         if tuple(sorted((first, second))) not in listed:
             statement = f"{first} and {second} are correlated ({value:+.3f}): known better together than apart"
             rows.append(Statement(kind="correlated", parameters=(first, second), statement=statement))
-    effects = np.array([parameter.effect for parameter in parameters])
-    ranks: dict[str, int] = {}
-    seen = 0
-    for effect in dict.fromkeys(effects):
-        upto = np.isin(effects, [*ranks, effect])
-        now = int((np.linalg.svd(scaled[:, upto], compute_uv=False) >= KNOWN).sum())
-        ranks[effect], seen = now - seen, now
-    return Identifiability(int((~null & ~weak).sum()), ranks, tuple(rows))
+    return to_frame(rows, Statement)
 
 
 def correlations(fit: Fit) -> pd.DataFrame:

@@ -18,7 +18,7 @@ from calflow.estimation.calibrated_model import CalibratedModel, series_noise
 from calflow.estimation.error_model import ErrorModel, SmoothVariances, beside_smooth_errors
 from calflow.estimation.extrapolation import beyond_measured, extrapolation
 from calflow.estimation.fit import START_ROWS, Fit, draw_starts, fit, fit_sharing, fit_to_all
-from calflow.estimation.identifiability import Identifiability, identifiability
+from calflow.estimation.identifiability import rank_by_effect
 from calflow.estimation.lack_of_fit import LackOfFit, NoiseDoubt, doubts_of_repeats, doubts_of_residuals
 from calflow.estimation.least_squares import LeastSquares, Loss
 from calflow.estimation.leverage import LeftOut, excess, left_out
@@ -65,11 +65,6 @@ class FittedEffects:
         return self.fit.model
 
     @cached_property
-    def identifiability(self) -> Identifiability:
-        """The directions that the data determine, and those they leave open."""
-        return identifiability(self.fit)
-
-    @cached_property
     def known(self) -> CalibratedModel:
         """The calibrated model, from which later stages start."""
         used, fitted = self.data.only(self.data.train | self.data.held_out), self.data.joints[self.data.train]
@@ -83,7 +78,7 @@ class FittedEffects:
     @cached_property
     def summary(self) -> IdentifySummary:
         """The figures of `identify/summary.json`."""
-        fit, identifiability, noise, data = self.fit, self.identifiability, self.noise, self.data
+        fit, noise, data, ranks = self.fit, self.noise, self.data, rank_by_effect(self.fit)
         used = data.only(data.train | data.held_out)
         points = fit.model.point(fit.estimate, used.conditions)
         return IdentifySummary(
@@ -93,9 +88,9 @@ class FittedEffects:
             ),
             intraclass=noise.intraclass,
             spread_mm=1e3 * float(np.linalg.norm(points - points.mean(axis=0), axis=1).mean()),
-            rank=identifiability.rank,
+            rank=sum(ranks.values()),
             parameters=len(fit.model.parameters),
-            rank_by_effect=dict(identifiability.rank_by_effect),
+            rank_by_effect=ranks,
             effective_parameters=fit.effective_parameters,
             training_poses=data.table.loc[data.train, "pose"].nunique(),
             heldout_poses=data.table.loc[data.held_out, "pose"].nunique(),
