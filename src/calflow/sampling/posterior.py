@@ -24,7 +24,6 @@ from calflow.files.units import METRE, MeasurementUnit
 from calflow.measurements.measurements import Measurements
 from calflow.observations import leading_units
 from calflow.sampling.chain import ENOUGH_TAU, ChainLength
-from calflow.sampling.log_posterior import Laplace, LogPosterior
 
 ALPHAS = (0.99, 1.01)  # powers to which a density is raised: near enough to 1 for importance weighting of the draws
 # Threshold of sensitivity to a density; a normal posterior determined by that density alone has about 0.08.
@@ -249,20 +248,18 @@ def _missing_steps(steps: int, tau: float, ess: float, length: ChainLength) -> i
 class Posterior:
     """A sampled posterior; its tables are those of a run's folder `sample`.
 
-    calibrated: the model, without causes held at their estimates; data: all rows. walkers (n_ensembles, n_steps, n_walkers,
-    n_dimensions): draws after the burn-in, in the coordinates of log_posterior; log_prior and log_likelihood (n_ensembles,
-    n_steps, n_walkers): their densities, up to a constant. ess (n_dimensions,): effective sample size of each parameter.
-    steps, discard: steps made and burn-in; tau [steps]: autocorrelation time. accepted: acceptance rate of independence
-    proposals, None without any. rng: random numbers for predictions.
+    calibrated: the model, without causes held at their estimates; data: all rows. points (n_ensembles, n_steps, n_walkers,
+    n_dimensions): draws of the parameters [SI] after the burn-in, the last entry the log of the noise's factor; densities
+    (n_ensembles, n_steps, n_walkers): see `Chain.densities`. fitted_sd (n_parameters,): standard deviations by the fit. ess
+    (n_dimensions,): effective sample size of each parameter. steps, discard: steps made and burn-in; tau [steps]: autocorrelation
+    time. accepted: acceptance rate of independence proposals, None without any. rng: random numbers for predictions.
     """
 
     calibrated: CalibratedModel
     data: Measurements
-    log_posterior: LogPosterior
-    laplace: Laplace
-    walkers: np.ndarray
-    log_prior: np.ndarray
-    log_likelihood: np.ndarray
+    points: np.ndarray
+    densities: np.ndarray
+    fitted_sd: np.ndarray
     ess: np.ndarray
     steps: int
     discard: int
@@ -270,11 +267,6 @@ class Posterior:
     accepted: float | None
     length: ChainLength
     rng: Draws
-
-    @cached_property
-    def points(self) -> np.ndarray:
-        """The draws of the parameters [SI], the last entry the log of the noise's factor; shape as walkers."""
-        return self.log_posterior.parameters(self.walkers)
 
     def drawn(self, number: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         """Return a number of draws, at most all: points (n_draws, n_parameters + 1), and the rivals that act in each.
@@ -318,7 +310,7 @@ class Posterior:
         flat = values.reshape(-1, n)
         by_ensemble = values.reshape(n_ensembles, n_steps * n_walkers, n)
         by_walker = _by_walker(values)
-        prior, likelihood = (_by_walker(density) for density in (self.log_prior, self.log_likelihood))
+        prior, likelihood = (_by_walker(self.densities[name]) for name in ("log_prior", "log_likelihood"))
         quantiles = np.quantile(flat, [0.025, 0.5, 0.975], axis=0)
         table = pd.DataFrame(
             {
@@ -345,8 +337,8 @@ class Posterior:
     @cached_property
     def summary(self) -> ChainSummary:
         """Length and convergence diagnostics of the chain, and whether it is long enough."""
-        values, calibrated, laplace, table = self.points, self.calibrated, self.laplace, self.table
-        ratio = (table["sd"].to_numpy()[:-1][~calibrated.at_bound]) / laplace.sd[~calibrated.at_bound]
+        values, calibrated, table = self.points, self.calibrated, self.table
+        ratio = (table["sd"].to_numpy()[:-1][~calibrated.at_bound]) / self.fitted_sd[~calibrated.at_bound]
         return ChainSummary(
             steps=self.steps,
             burn_in_steps=self.discard,
@@ -386,8 +378,8 @@ class Posterior:
             return from_dict(
                 {
                     "posterior": {name: chains[..., k] for k, name in enumerate(self.names)},
-                    "log_prior": {"parameters": _by_walker(self.log_prior)},
-                    "log_likelihood": {"measurements": _by_walker(self.log_likelihood)},
+                    "log_prior": {"parameters": _by_walker(self.densities["log_prior"])},
+                    "log_likelihood": {"measurements": _by_walker(self.densities["log_likelihood"])},
                 }
             )
 

@@ -68,10 +68,10 @@ def sample(
     seeds = [int(rng(f"moves{i}").integers(2**31)) for i in range(length.ensembles)]
     steps, tau, ess = _lengthen(log_posterior, chain, starts, seeds, length, advance)
     discard = _burn_in(steps, tau)
-    densities = chain.densities(discard, steps)
+    points = log_posterior.parameters(chain.walkers(discard, steps))
     return Posterior(
-        calibrated, data, log_posterior, laplace, chain.walkers(discard, steps), densities["log_prior"],
-        densities["log_likelihood"], ess, steps, discard, tau, accepted if independent else None, length, rng,
+        calibrated, data, points, chain.densities(discard, steps), laplace.sd, ess, steps, discard, tau,
+        accepted if independent else None, length, rng,
     )  # fmt: skip
 
 
