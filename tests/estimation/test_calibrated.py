@@ -13,7 +13,7 @@ from calflow.estimation.model_tables import observation_table, placed, placement
 from calflow.estimation.noise import PerUnit
 from calflow.files.tables import Results
 from calflow.measurements.measurements import Measurements
-from calflow.model import build
+from calflow.model import Model, build
 from calflow.observations import observations
 from calflow.robot.parts import Marker
 from robots import ASKEW, ur10
@@ -80,6 +80,6 @@ def test_an_axis_that_only_the_prior_tells_is_untold():
         ErrorModel.white(PerUnit(), len(told)),
     )
     upright = Measurements.from_arrays(ur10(), np.zeros((3, 6)), np.ones((3, 3)), payload="load").conditions
-    assert (known.untold_places(upright) > 0.5).all()
+    assert (known.untold(Model.point_jacobian, upright) > 0.5).all()
     sure = replace(known, covariance=np.diag((1e-3 * model.prior_sd) ** 2))
-    assert (sure.untold_places(upright) == 0).all()
+    assert (sure.untold(Model.point_jacobian, upright) == 0).all()

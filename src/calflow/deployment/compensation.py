@@ -106,7 +106,7 @@ def not_known(calibrated: CalibratedModel, conditions: np.ndarray) -> list[str]:
         f"no orientation was measured, positions only: targets turn the frame of link {robot.n_joints}, {turned}; how the tool "
         "sits on it is not checked"
     ]
-    untold = calibrated.untold_turns(few)
+    untold = calibrated.untold(Model.rotation_jacobian, few)
     problems += [
         f"the tool's turn about its own {axis} is known to {1e3 * typical[k]:.2g} mrad only, which is an assumption about "
         "robots like this or a statement of the study: only measured orientations would show it"

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Self
 
 import numpy as np
@@ -50,6 +50,9 @@ class Alternative:
 
 
 Quantity = Callable[[Model, np.ndarray], np.ndarray]  # (model, estimate) -> values of rows (n_rows, n)
+Slope = Callable[
+    [Model, np.ndarray, np.ndarray], np.ndarray
+]  # (model, estimate, packed rows) -> Jacobian (n_rows, 3, n)
 
 
 def offsets(alternatives: Sequence[Alternative], model: Model, estimate: np.ndarray, quantity: Quantity) -> np.ndarray:
@@ -290,26 +293,18 @@ class CalibratedModel:
         """Return the predictive variance of each row's orientation about the tool's axes, shape (n_rows, 3) [rad²].
 
         It is by parameters and smooth errors, as that of positions; the second is its part beyond the parameters' (see
-        `left_variance`). Rotations that the data do not determine have the variance of their priors (see `untold_turns`).
+        `left_variance`). Rotations that the data do not determine have the variance of their priors (see `untold`).
         """
-        slopes = (self.errors.slopes_of_rotations(*self._fitted, part) for part, _ in _parts(conditions))
-        return self._variances(slopes, RADIAN)
+        turned = (partial(Model.rotation_jacobian, conditions=part) for part, _ in _parts(conditions))
+        return self._variances((self.errors.slopes_of(each, *self._fitted) for each in turned), RADIAN)
 
-    def untold_turns(self, conditions: np.ndarray) -> np.ndarray:
-        """Return the share (3,) of the variance of the tool's rotation about its axes that the data leave to the priors."""
-        return self._untold(self.model.rotation_jacobian(self.estimate, conditions))
-
-    def untold_places(self, conditions: np.ndarray) -> np.ndarray:
-        """Return that share (3,) of the variance of positions along the measuring frame's axes."""
-        return self._untold(self.model.point_jacobian(self.estimate, conditions))
-
-    def _untold(self, slopes: np.ndarray) -> np.ndarray:
-        """Return the share (3,) of a variance that the data leave to the priors, given its slopes (n_rows, 3, n_parameters).
+    def untold(self, jacobian: Slope, conditions: np.ndarray) -> np.ndarray:
+        """Return the share (3,) of the variance of positions, or rotations, along each axis that the data leave to the priors.
 
         It is the share of those directions of the parameters, scaled by their priors, whose posterior variance is more than
         UNMEASURED of the prior's; mean over the rows.
         """
-        sd = self.model.prior_sd
+        sd, slopes = self.model.prior_sd, jacobian(self.model, self.estimate, conditions)
         left, directions = np.linalg.eigh(self.covariance / np.outer(sd, sd))
         parts = ((slopes @ (sd[:, None] * directions)) ** 2).mean(axis=0) * np.maximum(left, 0.0)
         total = parts.sum(axis=1)
@@ -348,7 +343,8 @@ class CalibratedModel:
         parts = [np.arange(len(data)) // ROWS == k for k in range(max(1, -(-len(data) // ROWS)))]
 
         def slopes(rows: np.ndarray) -> np.ndarray:
-            return smooth.slopes_of_values(model, estimate, data.only(rows), unit)[:, :, columns]
+            some = partial(error_jacobian, measured=data.only(rows), unit=unit)
+            return smooth.slopes_of(some, model, estimate)[:, :, columns]
 
         # What moves an object's rows alike moves the object with them.
         along = np.zeros((basis.shape[2], len(columns)))

@@ -13,6 +13,7 @@ from calflow.estimation.noise import representative
 from calflow.files.deferred import pd
 from calflow.files.tables import column
 from calflow.measurements.measurements import Measurements
+from calflow.model import Model
 
 # Mean length of a vector of 0 to 3 standard normals.
 MEAN_OF_NOISE = np.sqrt(np.array([0, 2, np.pi / 2, 8]) / np.array([1, np.pi, 1, np.pi]))
@@ -120,7 +121,7 @@ class Certainty:
             heights_m=(float(place[:, 2].min()), float(place[:, 2].max())), tested=len(tested), within=int(below.sum()),
             within_chance=float(scipy.special.betainc(beyond, poses - beyond + 1, 1 - PROMISED)) if beyond else 1.0,
             no_gain=float(1.0 - gained.mean()), expected_mm=then_and_later(calibrated, data),
-            untold=tuple("xyz"[k] for k in np.flatnonzero(calibrated.untold_places(some) > MOST_UNTOLD)),
+            untold=tuple("xyz"[k] for k in np.flatnonzero(calibrated.untold(Model.point_jacobian, some) > MOST_UNTOLD)),
             missed=missed_poses(calibrated, data, residuals, distance),
         )  # fmt: skip
 

@@ -20,7 +20,6 @@ import numpy as np
 import scipy
 
 from calflow.effects.base import Effect
-from calflow.estimation.accuracy import error_jacobian
 from calflow.estimation.fit import Fit
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import PerUnit, representative
@@ -30,7 +29,6 @@ from calflow.estimation.variance_components import NormalEquations, VarianceComp
 from calflow.files.deferred import pd
 from calflow.files.problems import refuse
 from calflow.files.tables import column, typed
-from calflow.files.units import MeasurementUnit
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 
@@ -129,20 +127,11 @@ class ErrorModel:
         by_parameters = model.point_jacobian(estimate, conditions, places)
         return np.concatenate([by_parameters, self.moved(model, estimate, conditions)], axis=2)
 
-    def slopes_of_values(
-        self, model: Model, estimate: np.ndarray, data: Measurements, unit: MeasurementUnit
+    def slopes_of(
+        self, jacobian: Callable[[Model, np.ndarray], np.ndarray], model: Model, estimate: np.ndarray
     ) -> np.ndarray:
-        """Return those of the values that devices report in a unit (see `errors`), (n_rows, 3 or more, n) [unit]."""
-        beside, at = _with(model, self.functions, estimate)
-        return self._over_sd(error_jacobian(beside, at, data, unit))
-
-    def slopes_of_rotations(self, model: Model, estimate: np.ndarray, conditions: np.ndarray) -> np.ndarray:
-        """Return those of the tool's rotation about its own axes, (n_rows, 3, n) [rad]."""
-        beside, at = _with(model, self.functions, estimate)
-        return self._over_sd(beside.rotation_jacobian(at, conditions))
-
-    def _over_sd(self, slopes: np.ndarray) -> np.ndarray:
-        """Return derivatives (…, n_parameters + n_functions) by parameters and amplitudes, the latter over sd."""
+        """Return those of anything else (n_rows, n_axes, n), given its Jacobian by the parameters of a model at an estimate."""
+        slopes = jacobian(*_with(model, self.functions, estimate))
         return slopes * np.append(np.ones(slopes.shape[-1] - len(self.sd)), self.sd)
 
     def moved(self, model: Model, estimate: np.ndarray, conditions: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calflow.estimation.calibrated_model import CalibratedModel, Quantity, points_at
+from calflow.estimation.calibrated_model import CalibratedModel, Quantity, Slope, points_at
 from calflow.estimation.error_model import of_parameters
 from calflow.files.deferred import pd
 from calflow.files.tables import column, typed
@@ -21,7 +21,6 @@ from calflow.model import Model
 from calflow.observations.pose import Pose
 from calflow.sampling.posterior import Posterior, shifts
 
-Slope = Callable[[Model, np.ndarray, np.ndarray], np.ndarray]  # (model, estimate, packed rows) -> Jacobian
 At = Callable[[np.ndarray], np.ndarray]  # packed rows -> errors (n_draws, n_rows, 3), or axes (n_rows, 3, 3)
 # Of each marker, its points in the task and packed rows at which it is taught.
 Taught = Sequence[tuple[np.ndarray, np.ndarray]]
@@ -178,8 +177,6 @@ def _turn_from(calibrated: CalibratedModel, conditions: np.ndarray) -> Quantity:
 
 def _held(calibrated: CalibratedModel, lean: CalibratedModel, conditions: np.ndarray, slope: Slope) -> np.ndarray:
     """Return the variance (n_points, 3) due to parameters held at their estimates during sampling."""
-    if len(calibrated.estimate) == len(lean.estimate):
-        return np.zeros((conditions.shape[1], 3))
     total = of_parameters(slope(calibrated.model, calibrated.estimate, conditions), calibrated.covariance)
     return np.maximum(total - of_parameters(slope(lean.model, lean.estimate, conditions), lean.covariance), 0.0)
 
