@@ -130,17 +130,14 @@ class ArmGeometry:
         floor = at.links[robot.ground - 1][:3, :3].T if robot.ground else ca.SX.eye(3)
         axes = [floor @ at.joints[i][:3, 2:4] for i in robot.arm]
         directions, points = [axis[:, 0] for axis in axes], [axis[:, 1] for axis in axes]
+        turned = floor @ at.joints[robot.arm[0]][:3, :3]
         wrist, off = _nearest_point(directions[3:], points[3:])
-        out, up, apart = (
-            np.array(value).ravel()
-            for value in ca.Function("stretched", [q], [wrist - points[0], directions[0], off])(
-                np.zeros(robot.n_joints)
-            )
-        )
+        stretched = ca.Function("stretched", [q], [wrist - points[0], directions[0], off, turned])
+        out, up, apart, home = (np.array(value).squeeze() for value in stretched(np.zeros(robot.n_joints)))
         outward = out - up * (up @ out)
         if apart.max() > MEETING or np.linalg.norm(outward) < MEETING:
             return ArmGeometry(robot, None)
-        forward = _rotated(ca.DM(outward), directions[0], q[robot.arm[0]])
+        forward = turned @ ca.DM(home.T @ outward)
         upper = points[2] - points[1]
         upper -= directions[1] * ca.dot(directions[1], upper)
         side = ca.cross(ca.if_else(directions[0][2] >= 0, directions[0], -directions[0]), forward)
@@ -170,14 +167,6 @@ def _nearest_point(directions: Sequence[ca.SX], points: Sequence[ca.SX]) -> tupl
     wrist = ca.solve(sum(across), sum(projector @ point for projector, point in zip(across, points, strict=True)))
     far = [ca.norm_2(projector @ (wrist - point)) for projector, point in zip(across, points, strict=True)]
     return wrist, ca.vertcat(*far)
-
-
-def _rotated(vector: ca.DM, axis: ca.SX, angle: ca.SX) -> ca.SX:
-    return (
-        vector * ca.cos(angle)
-        + ca.cross(axis, vector) * ca.sin(angle)
-        + axis * ca.dot(axis, vector) * (1 - ca.cos(angle))
-    )
 
 
 @dataclass(frozen=True)

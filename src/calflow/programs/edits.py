@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
+from decimal import Decimal
 
 import numpy as np
 
@@ -78,7 +79,9 @@ def declared_again(declared: Declaration, name: str, source: bytes, changes: Ite
 
 def spelled(number: Number, value: float, step: float) -> str:
     """Return a value [SI] in a number's notation, with its decimals, or as many as the step needs."""
-    decimals = max(_decimals(number.text), int(np.ceil(-np.log10(step / number.scale) - 1e-9)), 0)
+    decimals = max(
+        -int(Decimal(number.text).as_tuple().exponent), int(np.ceil(-np.log10(step / number.scale) - 1e-9)), 0
+    )
     new = value / number.scale
     if abs(new - number.written) < 0.5 * 10.0**-decimals:
         return number.text
@@ -99,9 +102,3 @@ def _edits(target: Target, values: Iterable[float], steps: Iterable[float]) -> t
         for number, text in zip(target.numbers, texts, strict=True)
         if text != number.text
     )
-
-
-def _decimals(text: str) -> int:
-    """Return the number of decimals of a number's text."""
-    digits, _, exponent = text.lower().partition("e")
-    return max(0, len(digits.partition(".")[2]) - int(exponent or 0))

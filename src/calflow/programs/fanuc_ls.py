@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from calflow.deployment.conventions import NOTATIONS, NOWHERE
-from calflow.files.problems import Problem
-from calflow.programs.syntax import Grammar, Node, TreeBuilder, branch, leaves, refusal
-from calflow.programs.target import External, FanucConfiguration, Flag, Number, Program, Skipped, Target, Use
+from calflow.files.problems import Problem, refuse
+from calflow.programs.syntax import Grammar, Node, TreeBuilder, branch, leaves
+from calflow.programs.target import External, FanucConfiguration, Flag, Program, Skipped, Target, Use
 
 SUFFIXES = (".ls", ".va")
 TABLE = re.compile(r"\[\*SYSTEM\*\]\$MNU(TOOL|FRAME)\b(?!NUM)([^\[]*\[.*?)(?=^[ \t]*\[\*|\Z)", re.MULTILINE | re.DOTALL)
@@ -137,12 +137,12 @@ def _positions(positions: Sequence[Node]) -> Iterator[Target | Skipped]:
         number, _, *groups = position.items
         name = f"P[{number.text}]"
         if name in names:
-            raise refusal(f"{name} is defined twice", position.line)
+            raise refuse(f"{name} is defined twice", line=position.line)
         names.add(name)
         given = [group.items[0].text for group in groups]
         for k, (title, group) in enumerate(zip(given, groups, strict=True)):
             if title in given[:k]:
-                raise refusal(f"expected a group, as GP{k + 1}, found '{title}'", group.line)
+                raise refuse(f"expected a group, as GP{k + 1}, found '{title}'", line=group.line)
             read_group = _group(group, name, position.line)
             if title == "GP1":
                 yield read_group
@@ -151,8 +151,8 @@ def _positions(positions: Sequence[Node]) -> Iterator[Target | Skipped]:
 def _group(group: Node, name: str, line: int) -> Target | Skipped:
     """GP1: UF : 0, UT : 1, CONFIG : '...', X = 1 mm, ... or J1 = 1 deg, ..."""
     _, frame, tool, flags, *coordinates = group.items
-    given = {component.text: Number(value.start, value.end, value.text, UNITS[unit.text])
-             for component, value, unit in (node.items for node in coordinates)}  # fmt: skip
+    parts = [node.items for node in coordinates]
+    given = {component.text: value.number(UNITS[unit.text]) for component, value, unit in parts}
     own = [node for node in coordinates if node.items[0].text not in EXTERNAL]
     names = [node.items[0].text for node in own]
     remote = names[:1] == ["RX"]
@@ -160,12 +160,12 @@ def _group(group: Node, name: str, line: int) -> Target | Skipped:
     odd = [node for node, found, expected in zip(own, names, wanted, strict=False) if found != expected]
     if odd or len(own) != len(wanted):
         message = f"{name}: expected {', '.join(wanted)} in this order, found {', '.join(names)}"
-        raise refusal(message, (odd or coordinates[-1:])[0].line)
+        raise refuse(message, line=(odd or coordinates[-1:])[0].line)
     if len(given) < len(coordinates):
-        raise refusal(f"{name}: an external axis is given twice", coordinates[-1].line)
+        raise refuse(f"{name}: an external axis is given twice", line=coordinates[-1].line)
     numbers = tuple(given[component] for component in names)
     if flags and tuple(number.scale for number in numbers) != NOTATION.scales:
-        raise refusal(f"{name}: expected X, Y and Z in mm and W, P and R in deg", coordinates[-1].line)
+        raise refuse(f"{name}: expected X, Y and Z in mm and W, P and R in deg", line=coordinates[-1].line)
     if any(number.text.startswith("*") for number in numbers):
         return Skipped(name, line, "never taught", "was never taught")
     if remote:

@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 
 from calflow.deployment.conventions import NOTATIONS, NOWHERE
+from calflow.files.problems import refuse
 from calflow.programs.names import GLOBAL, Call, root
 from calflow.programs.statements import INDIRECT, STATIONARY, Destination, Statements
-from calflow.programs.syntax import Grammar, Node, TreeBuilder, branch, leaves, refusal
-from calflow.programs.target import Declaration, External, Flag, KrlConfiguration, Number, Skipped, Target, Use
+from calflow.programs.syntax import Grammar, Node, TreeBuilder, branch, leaves
+from calflow.programs.target import Declaration, External, Flag, KrlConfiguration, Skipped, Target, Use
 
 POSE_TYPES, AXIS_TYPES = ("POS", "E3POS", "E6POS", "FRAME"), ("AXIS", "E3AXIS", "E6AXIS")
 NOTATION = NOTATIONS["krl"]
@@ -37,7 +38,7 @@ class _Builder(TreeBuilder):
         first, kind, *items, last = children
         if len({item.text for item in items}) < len(items):
             again = next(item for k, item in enumerate(items) if item.text in {before.text for before in items[:k]})
-            raise refusal(f"{again.text} is given twice", again.line)
+            raise refuse(f"{again.text} is given twice", line=again.line)
         return branch("list", kind.upper() if kind else "", first, last, items)
 
     def member(self, children: Sequence[Any]) -> Node:
@@ -72,7 +73,7 @@ def krl_target(name: str, kind: str, value: Node) -> Target | Skipped:
     allowed = {*wanted, *EXTERNAL} | ({"S", "T"} if kind not in ("FRAME", *AXIS_TYPES) else set())
     odd = [item for item in value.items if item.text not in allowed]
     if odd:
-        raise refusal(f"{name}: a {kind} has no component {odd[0].text}", odd[0].line)
+        raise refuse(f"{name}: a {kind} has no component {odd[0].text}", line=odd[0].line)
     if lacking := ", ".join(name for name in wanted if name not in given):
         return Skipped(name, value.line, "incomplete", f"does not give {lacking}: the robot keeps the values before")
     if any(given[name].kind != "number" for name in wanted):
@@ -82,9 +83,9 @@ def krl_target(name: str, kind: str, value: Node) -> Target | Skipped:
     }
     external = {k: External(float(item.text)) for k, item in axes.items()}
     if kind in AXIS_TYPES:
-        joints = tuple(_number(given[name], np.pi / 180) for name in wanted)
+        joints = tuple(given[name].number(np.pi / 180) for name in wanted)
         return Target(name, value.line, joints, None, external=external)
-    numbers = tuple(_number(given[name], scale) for name, scale in zip(wanted, NOTATION.scales, strict=True))
+    numbers = tuple(given[name].number(scale) for name, scale in zip(wanted, NOTATION.scales, strict=True))
     configuration = _configuration(name, [(name, given[name]) for name in ("S", "T") if name in given])
     return Target(name, value.line, numbers, NOTATION.turn, configuration, external=external)
 
@@ -93,7 +94,7 @@ def _configuration(name: str, flags: list[tuple[str, Node]]) -> KrlConfiguration
     """The configuration of S and T, numbers or bits."""
     for flag, value in flags:
         if re.fullmatch(r"\d+|'[Bb][01]+'", value.text) is None:
-            raise refusal(f"{name}: expected a whole number or bits such as 'B010' as {flag}", value.line)
+            raise refuse(f"{name}: expected a whole number or bits such as 'B010' as {flag}", line=value.line)
     if not flags:
         return None
     places = tuple(Flag(value.start, value.end, value.text) for _, value in flags)
@@ -112,10 +113,6 @@ def krl_number(name: str) -> str:
     """The number 1 of TOOL_DATA[1] or BASE_DATA[1]; other names unchanged."""
     match = re.fullmatch(r"(?:TOOL|BASE)_DATA\[(\d+)\]", name)
     return match.group(1) if match else name
-
-
-def _number(item: Node, scale: float) -> Number:
-    return Number(item.start, item.end, item.text, scale)
 
 
 @dataclass
@@ -259,7 +256,7 @@ class KrlFile(Statements):
         move, *places, further = node.items
         for k, place in enumerate(places):
             if place.kind == "list" and _literal_kind(place) not in (*POSE_TYPES, *AXIS_TYPES):
-                raise refusal(f"expected a target, found a {_literal_kind(place)}", place.line)
+                raise refuse(f"expected a target, found a {_literal_kind(place)}", line=place.line)
             self.move_targets |= {self.key(place.text)} if place.kind == "name" else set()
             name = f"{move.text.upper()} in line {node.line}" + (", end" if k else "")
             self.defer(self.move, place, name, node.line, further)

@@ -5,16 +5,18 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
 
 from calflow.deployment.conventions import NOTATIONS, NOWHERE, UNIT_LENGTH
 from calflow.files.deferred import Rotation
+from calflow.files.problems import refuse
 from calflow.programs.names import ALIAS, Call
 from calflow.programs.statements import INDIRECT, Destination, Statements
-from calflow.programs.syntax import Grammar, Node, TreeBuilder, refusal
-from calflow.programs.target import External, Flag, Number, RapidConfiguration, Skipped, Target, Use
+from calflow.programs.syntax import Grammar, Node, TreeBuilder
+from calflow.programs.target import External, Flag, RapidConfiguration, Skipped, Target, Use
 
 NOTATION = NOTATIONS["rapid"]
 EXTERNAL = 6  # external axes of a target
@@ -46,7 +48,7 @@ def rapid_target(name: str, kind: str, value: Node) -> Target | Skipped:
         return computed
     if _shape(value) != sizes:
         shape = ", ".join(f"[{size}]" for size in sizes)
-        raise refusal(f"{name}: expected a {kind} of {len(sizes)} lists with {shape} values", value.line)
+        raise refuse(f"{name}: expected a {kind} of {len(sizes)} lists with {shape} values", line=value.line)
     if any(item.kind != "number" for group in groups for item in group.items):
         return computed
     if any(float(item.text) == PLACEHOLDER for group in groups[:-1] for item in group.items):
@@ -54,14 +56,14 @@ def rapid_target(name: str, kind: str, value: Node) -> Target | Skipped:
     axes = {k: External(float(item.text)) for k, item in enumerate(groups[-1].items, start=1)}
     external = {k: axis for k, axis in axes.items() if abs(axis.value) < UNDEFINED}
     if kind == "jointtarget":
-        joints = tuple(_number(item, np.pi / 180) for item in groups[0].items)
+        joints = tuple(item.number(np.pi / 180) for item in groups[0].items)
         return Target(name, value.line, joints, None, external=external)
     for item in groups[2].items:
         if re.fullmatch(r"[+-]?\d+(?:\.0*)?(?:[eE][+]?0+)?", item.text) is None:
-            raise refusal(f"{name}: expected a whole number in its configuration, found '{item.text}'", item.line)
+            raise refuse(f"{name}: expected a whole number in its configuration, found '{item.text}'", line=item.line)
     flags = tuple(Flag(item.start, item.end, str(int(float(item.text)))) for item in groups[2].items)
     items = (*groups[0].items, *groups[1].items)
-    numbers = tuple(_number(item, scale) for item, scale in zip(items, NOTATION.scales, strict=True))
+    numbers = tuple(item.number(scale) for item, scale in zip(items, NOTATION.scales, strict=True))
     return Target(name, value.line, numbers, NOTATION.turn, RapidConfiguration(flags), external=external)
 
 
@@ -87,7 +89,7 @@ def _pose(value: Node) -> np.ndarray | None:
     items = [item for group in value.items for item in group.items]
     if any(item.kind != "number" for item in items):
         return None
-    values = np.array([_number(item, 1.0).written for item in items])
+    values = np.array([item.number(1.0).written for item in items])
     usual = np.isfinite(values).all() and abs(np.linalg.norm(values[3:]) - 1) < UNIT_LENGTH
     return NOTATION.pose(values) if usual else None
 
@@ -95,11 +97,6 @@ def _pose(value: Node) -> np.ndarray | None:
 def _shape(value: Node) -> list[int]:
     """Return the numbers of values in the lists of a value."""
     return [len(group.items) for group in value.items]
-
-
-def _number(item: Node, scale: float) -> Number:
-    text = item.text if item.text[1:2].lower() not in ("x", "b", "o") else str(int(item.text, 0))
-    return Number(item.start, item.end, text, scale)
 
 
 class _Builder(TreeBuilder):
@@ -138,7 +135,7 @@ class RapidModules(Statements):
             self.declare(name.text, kind, inside or (scope is not None and scope.text.upper() == "LOCAL"))
             dimensions = len(shape.items) if shape else 0
             if constant and value is None:
-                raise refusal(f"expected a value of the constant {name.text}", name.line)
+                raise refuse(f"expected a value of the constant {name.text}", line=name.line)
             if value is not None:
                 if constant or kind not in self.number_types:
                     self.add_initial(name.text.lower(), dimensions, value)
@@ -241,10 +238,10 @@ class RapidModules(Statements):
 
     def assign(self, to: Node, value: Node) -> None:
         """Record an assignment in a routine to a target, or to a part of one."""
-        kind, whole = self.scope.type_of(to.text.lower()), to.text.rpartition(".")
+        kind, *parts = self.scope.type_of(to.text.lower()), *to.text.lower().split(".")[:-1]
         if kind in SHAPES:
             self.assign_value(to.text, kind, 0, value)
-        elif any(self.scope.type_of(part) in SHAPES for part in _prefixes(whole[0].lower())):
+        elif any(self.scope.type_of(whole) in SHAPES for whole in accumulate(parts, "{}.{}".format)):
             why = f"changes {to.text.partition('.')[2]} of a target on the way: the result is unknown"
             self.skip(to.text, to.line, "changed on the way", why)
 
@@ -327,10 +324,3 @@ def _local_names(part: Node) -> Iterator[Node]:
 
 def _indexed(name: str, k: int) -> str:
     return f"{name[:-1]},{k}}}" if name.endswith("}") else f"{name}{{{k}}}"
-
-
-def _prefixes(name: str) -> Iterator[str]:
-    """Yield a name with components, and each of its prefixes."""
-    while name:
-        yield name
-        name = name.rpartition(".")[0]

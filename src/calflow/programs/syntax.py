@@ -12,7 +12,8 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from calflow.files.problems import InputError, Problem, truncated
+from calflow.files.problems import InputError, refuse, truncated
+from calflow.programs.target import Number
 
 if TYPE_CHECKING:
     from lark import Lark, UnexpectedInput
@@ -23,6 +24,7 @@ DEEPEST = 60  # nesting depth of brackets, below Python's limit of recursion
 NUMBER = re.compile(r"[-+.\dEe]+")
 MEANINGS = {"NAME": "a name", "NUMBER": "a number", "STRING": "a text", "_NL": "the end of the line", "$END": "the end of the file",
             "_TEXT": "a line", "INSTRUCTION": "an instruction", "INDEX": "a whole number", "GROUP": "a group, as GP1"}  # fmt: skip
+LEAVES = ("number", "string", "computed")  # values of one token, the last of them not evaluated
 OPERATORS = {"OPERATOR", "SIGN", "LESS", "MORE", "COLON", "DOT"}
 
 
@@ -47,6 +49,11 @@ class Node(NamedTuple):
         """The positional arguments."""
         return tuple(item for item in self.items if item.kind != "keyword")
 
+    def number(self, scale: float) -> Number:
+        """Return the number that it is, with its factor to SI."""
+        hexadecimal = self.text[1:2].lower() in ("x", "b", "o")  # or of another base
+        return Number(self.start, self.end, str(int(self.text, 0)) if hexadecimal else self.text, scale)
+
     def keyword(self, name: str) -> Node | None:
         """Return the value of a keyword argument (name in lower case), if given."""
         keywords = (item for item in self.items if item.kind == "keyword" and item.text.lower() == name)
@@ -62,16 +69,6 @@ class Node(NamedTuple):
         yield self
         for item in self.items:
             yield from item.walk()
-
-
-def refusal(message: str, line: int) -> InputError:
-    """Return the error for a program with a problem at a line."""
-    return InputError([Problem(message, line=line)])
-
-
-def lines_in(text: str) -> int:
-    """Return how many lines end in a text, whether with LF, CR or both."""
-    return text.count("\n") + text.count("\r") - text.count("\r\n")
 
 
 def leaf(token: Any, kind: str = "token") -> Node:
@@ -96,7 +93,7 @@ def branch(kind: str, text: str, first: Any, last: Any, items: Sequence[Any]) ->
     """
     depth = 1 + max((item.depth for item in items if item is not None), default=0)
     if depth > DEEPEST:
-        raise refusal(f"more than {DEEPEST} nested brackets", first.line)
+        raise refuse(f"more than {DEEPEST} nested brackets", line=first.line)
     start = first.start if isinstance(first, Node) else first.start_pos
     end = last.end if isinstance(last, Node) else last.end_pos
     return Node(kind, text, start, end, first.line, tuple(items), depth)
@@ -112,23 +109,13 @@ class TreeBuilder:
         # A rule with an underscore is inlined: its children go to the parent.
         if rule.startswith("_"):
             return SimpleNamespace(children=children)
+        if rule in LEAVES:
+            return leaf(children[0], str(rule))
         items = [child if child is None or isinstance(child, Node) else leaf(child) for child in children]
         present = [item for item in items if item is not None]
         if not present:
             return Node(str(rule), "", 0, 0, 0, tuple(items))
         return branch(str(rule), "", present[0], present[-1], items)
-
-    def number(self, children: Sequence[Any]) -> Node:
-        """A number."""
-        return leaf(children[0], "number")
-
-    def string(self, children: Sequence[Any]) -> Node:
-        """A text."""
-        return leaf(children[0], "string")
-
-    def computed(self, children: Sequence[Any]) -> Node:
-        """A value that is not evaluated."""
-        return leaf(children[0], "computed")
 
     def signed(self, children: Sequence[Any]) -> Node:
         """A value after a sign."""
@@ -212,9 +199,9 @@ class Grammar:
         from lark import UnexpectedToken
 
         if not isinstance(error, UnexpectedToken):
-            return refusal(f"unexpected character {text[error.pos_in_stream or 0]!r}", error.line)
+            return refuse(f"unexpected character {text[error.pos_in_stream or 0]!r}", line=error.line)
         token, names = error.token, set(error.accepts or error.expected)
-        line = 1 + lines_in(text) if token.type == "$END" else token.line
+        line = len(re.findall(r"\r\n|\r|\n", text)) + 1 if token.type == "$END" else token.line
         found = (
             MEANINGS[token.type] if token.type in ("$END", "_NL") else f"'{truncated(token.split()[0], LONGEST_SHOWN)}'"
         )
@@ -222,7 +209,7 @@ class Grammar:
             ends = {name for name in names if name.startswith("END") or name == "UNTIL"}
             names = ends or names - OPERATORS
         expected = " or ".join(sorted(map(self._meaning, names))[:MOST_EXPECTED])
-        return refusal(f"expected {expected}, found {found}", line)
+        return refuse(f"expected {expected}, found {found}", line=line)
 
     def _meaning(self, name: str) -> str:
         """Return a terminal's name in messages."""

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from calflow.deployment.conventions import NOTATIONS, NOWHERE
+from calflow.files.problems import refuse
 from calflow.programs.names import Call
 from calflow.programs.statements import Destination, Statements
-from calflow.programs.syntax import Grammar, Node, TreeBuilder, branch, leaf, refusal
+from calflow.programs.syntax import Grammar, Node, TreeBuilder, branch, leaf
 from calflow.programs.target import Number, Skipped, Target, Use
 
 SUFFIXES = (".script", ".urscript", ".ur")
@@ -114,13 +115,13 @@ class UrScript(Statements):
         scope, to, sign, value = node.items
         if sign:
             if to.kind not in ("name", "computed"):
-                raise refusal(f"expected a name before '{sign.text}'", sign.line)
+                raise refuse(f"expected a name before '{sign.text}'", line=sign.line)
             self.read(value)
             self.assign_value(scope, to, value, sign.text)
         elif to.kind == "call" or (to.kind == "name" and ("." in to.text or to.text in BARE)):
             self.read(to)
         else:
-            raise refusal("expected a call or an assignment", to.line)
+            raise refuse("expected a call or an assignment", line=to.line)
 
     def assign_value(self, scope: Node | None, to: Node, value: Node, sign: str) -> None:
         """Record an assignment."""
@@ -190,7 +191,7 @@ class UrScript(Statements):
         by_name = [item.items[0] for item in call.items if item.kind == "keyword" and item.text in KEYWORDS]
         arguments = [*call.arguments[:wanted], *by_name][:wanted]
         if len(arguments) < wanted:
-            raise refusal(f"{call.text}: expected {wanted} target{'s' * (wanted > 1)}", call.line)
+            raise refuse(f"{call.text}: expected {wanted} target{'s' * (wanted > 1)}", line=call.line)
         return arguments
 
     def move(self, call: Node, places: Sequence[Node]) -> None:
@@ -275,7 +276,7 @@ class UrScript(Statements):
     def target(self, name: str, value: Node) -> Target | Skipped:
         """Return the target of a pose or list, or why it is skipped."""
         if len(value.items) != 6:
-            raise refusal(f"{name}: expected 6 values, found {len(value.items)}", value.line)
+            raise refuse(f"{name}: expected 6 values, found {len(value.items)}", line=value.line)
         numbers = _numbers(value, value.kind)
         turn = None if value.kind == "list" else NOTATION.turn
         return (
@@ -316,5 +317,5 @@ def _numbers(value: Node, kind: str) -> tuple[Number, ...] | None:
             item, scale = item.items[0], np.pi / 180
         if item.kind != "number" or "x" in item.text.lower():
             return None
-        parts.append(Number(item.start, item.end, item.text, scale))
+        parts.append(item.number(scale))
     return tuple(parts)
