@@ -21,13 +21,13 @@ from calflow.deployment import check_poses, compensation, prediction, validation
 from calflow.deployment import drift as drift_check
 from calflow.deployment import export as exporting
 from calflow.deployment.export import Export, Format
-from calflow.deployment.figures_alone import FIGURES, LEVELS, AloneParameter, EffortLevel, Levels
+from calflow.deployment.figures_alone import Levels
 from calflow.deployment.in_space import IN_SPACE, SpaceError, hand_eye_errors, space_rows
-from calflow.deployment.run_outcome import RunOutcome
+from calflow.deployment.run_outcome import TABLES, RunOutcome
 from calflow.deployment.usability import no_better_in_space, warning
 from calflow.deployment.validation import Sent, Station, Validation
 from calflow.design.cell import Cell
-from calflow.design.discrimination import NextPose, Question, SeparationRow, poses_table, questions, separations_table
+from calflow.design.discrimination import Question, poses_table, questions, separations_table
 from calflow.design.planned import (
     USUAL_DRIFT,
     Aim,
@@ -41,51 +41,25 @@ from calflow.design.planned import (
 )
 from calflow.design.selection import Selection, select
 from calflow.diagnosis import FALSE_ALARM
-from calflow.diagnosis.cause_tables import (
-    CandidateRow,
-    CauseProbability,
-    CurvePoint,
-    ModelRow,
-    candidates_table,
-    cause_table,
-    curves,
-    models_table,
-)
+from calflow.diagnosis.cause_tables import candidates_table, cause_table, curves, models_table
 from calflow.diagnosis.diagnosis import Diagnosis, accuracy_table, diagnosis_summary, extended_model, search_causes
 from calflow.diagnosis.findings import Finding
 from calflow.diagnosis.findings import findings as diagnosed_findings
 from calflow.diagnosis.fitted import Fitted
-from calflow.diagnosis.replication import CarriedAccuracy, ConfirmedCause, ConfirmedPoint
 from calflow.diagnosis.replication import confirm as confirmed
 from calflow.effects import Effect, effect_ids, effects_by_id, effects_given
 from calflow.effects.base import unmet, unusable
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.certainty import Certainty
-from calflow.estimation.error_model import SmoothAmplitude
 from calflow.estimation.field_gain import field_results, gainful_field
-from calflow.estimation.identifiability import (
-    Correlation,
-    Counted,
-    Redundant,
-    Statement,
-    best_subset,
-    correlations,
-    left_open,
-    redundant,
-    wrong_counts,
-)
+from calflow.estimation.identifiability import best_subset, correlations, left_open, redundant, wrong_counts
 from calflow.estimation.identification import FittedEffects, fit_effects
 from calflow.estimation.least_squares import Loss
 from calflow.estimation.leverage import JudgedResidual, Studentised, judged, judged_table
 from calflow.estimation.model_tables import (
-    AlternativeParameter,
-    DeviceNoise,
     FitSummary,
     IdentifySummary,
-    ModelEffect,
-    ModelObservation,
-    Placed,
     alternatives_table,
     calibrated,
     model_tables,
@@ -93,12 +67,11 @@ from calflow.estimation.model_tables import (
     placement_table,
     read_error_model,
 )
-from calflow.estimation.needed_conditions import NeededCondition
 from calflow.estimation.noise import NoiseSource
-from calflow.estimation.parameters import Covariances, FittedParameter, Parameters, mistaken
+from calflow.estimation.parameters import Parameters, mistaken
 from calflow.estimation.progress import Advance, Draws, Say, draws, nobody
-from calflow.estimation.residual_field import POSES, FieldAccuracy, FieldPose, read_field
-from calflow.faults import Fault, FaultyRow, as_table, corrected, examined
+from calflow.estimation.residual_field import read_field
+from calflow.faults import Fault, as_table, corrected, examined
 from calflow.faults.base import SET_UP, lines_in_words
 from calflow.faults.duplicate import rows_held_by
 from calflow.faults.outlier import odd_rows
@@ -133,44 +106,6 @@ OPEN_SHOWN = 6  # most statements of undetermined parameters shown; further ones
 IN_PYTHON = "python"  # the name of a calibration made without a study file
 AGAIN = "run the study again"
 GONE = "the measurements are no longer there: costs are averaged over random poses within the joint limits"
-# Row types of the tables that both stages write of their model, by file name; then of all tables, by path in a run.
-OF_A_MODEL: Mapping[str, type] = {
-    "parameters.csv": FittedParameter,
-    "accuracy.csv": Accuracy,
-    "residuals.csv": JudgedResidual,
-    "faults.csv": FaultyRow,
-    "covariance.csv": Covariances,
-    "errors.csv": SmoothAmplitude,
-    "effects.csv": ModelEffect,
-    "noise.csv": DeviceNoise,
-    "needed_conditions.csv": NeededCondition,
-    IN_SPACE: SpaceError,
-    LEVELS: EffortLevel,
-    FIGURES: AloneParameter,
-}
-TABLES: Mapping[str, type] = {
-    **{f"{stage}/{name}": rows for stage in ("identify", "diagnose") for name, rows in OF_A_MODEL.items()},
-    "identify/identifiability.csv": Statement,
-    "identify/correlations.csv": Correlation,
-    "identify/observations.csv": ModelObservation,
-    "identify/placement.csv": Placed,
-    "identify/count.csv": Counted,
-    "identify/redundant.csv": Redundant,
-    "diagnose/findings.csv": Finding,
-    "diagnose/candidates.csv": CandidateRow,
-    "diagnose/next_poses.csv": NextPose,
-    "diagnose/separations.csv": SeparationRow,
-    "diagnose/alternatives.csv": AlternativeParameter,
-    "diagnose/models_in_reach.csv": ModelRow,
-    "diagnose/cause_probabilities.csv": CauseProbability,
-    "diagnose/curves.csv": CurvePoint,
-    "diagnose/confirmation.csv": ConfirmedCause,
-    "diagnose/confirmation_curves.csv": ConfirmedPoint,
-    "diagnose/confirmation_accuracy.csv": CarriedAccuracy,
-    "diagnose/confirmation_faults.csv": FaultyRow,
-    POSES: FieldPose,
-    "residual_field/accuracy.csv": FieldAccuracy,
-}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

@@ -2,23 +2,36 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal, TypeVar
+from typing import Literal
 
-from calflow.deployment.figures_alone import LEVELS, EffortLevel
+from calflow.deployment.figures_alone import FIGURES, LEVELS, AloneParameter, EffortLevel
 from calflow.deployment.in_space import IN_SPACE, SpaceError
 from calflow.design.discrimination import NextPose, SeparationRow
 from calflow.diagnosis.cause_tables import CandidateRow, CauseProbability, CurvePoint, ModelRow
 from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.findings import Finding
+from calflow.diagnosis.replication import CarriedAccuracy, ConfirmedCause, ConfirmedPoint
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.certainty import Certainty
+from calflow.estimation.error_model import SmoothAmplitude
 from calflow.estimation.identifiability import Correlation, Counted, Redundant, Statement
 from calflow.estimation.lack_of_fit import NoiseDoubt
 from calflow.estimation.leverage import JudgedResidual
-from calflow.estimation.model_tables import DeviceNoise, FitSummary, IdentifySummary, Placed
-from calflow.estimation.parameters import FittedParameter
+from calflow.estimation.model_tables import (
+    AlternativeParameter,
+    DeviceNoise,
+    FitSummary,
+    IdentifySummary,
+    ModelEffect,
+    ModelObservation,
+    Placed,
+)
+from calflow.estimation.needed_conditions import NeededCondition
+from calflow.estimation.parameters import Covariances, FittedParameter
+from calflow.estimation.residual_field import POSES, FieldAccuracy, FieldPose
 from calflow.faults.base import FaultyRow
 from calflow.files.tables import Kind, Results, Row, Tables, TypedTable, to_frame
 from calflow.files.words import listed, plural
@@ -28,27 +41,25 @@ from calflow.sampling.task_points import TaskSummary
 FAULTS = "identify/faults.csv"
 MORE_THAN_NOISE = "The error left is larger than the instrument's noise explains"
 Figures = tuple[float, float, float]  # mean, RMS and largest error
-Value = TypeVar("Value")
 
 
-def _table(meaning: str, name: str, row_type: type[Row]) -> cached_property[TypedTable[Row]]:
-    """Declare a table of an outcome, by its path or, for the best model, its name; without rows where it is missing."""
+class _Table(cached_property[TypedTable[Row]]):
+    """A table of an outcome, by its path or, for the best model, its name; without rows where it is missing."""
 
-    def table(of: RunOutcome) -> TypedTable[Row]:
-        path, tables = of.path_of(name), of.results.tables
-        return TypedTable(tables[path] if path in tables else to_frame((), row_type), row_type, path)
+    def __init__(self, meaning: str, name: str, row_type: type[Row]) -> None:
+        def table(of: RunOutcome) -> TypedTable[Row]:
+            path, tables = of.path_of(name), of.results.tables
+            return TypedTable(tables[path] if path in tables else to_frame((), row_type), row_type, path)
 
-    return _described(cached_property(table), meaning)
+        super().__init__(table)
+        self.__doc__, self.name, self.row_type = meaning, name, row_type
 
 
 def _summary(meaning: str, name: str, kind: type[Kind]) -> cached_property[Kind]:
     """Declare a summary of an outcome, by its path or, for the best model, its name."""
-    return _described(cached_property(lambda of: of.results.document(of.path_of(name), kind)), meaning)
-
-
-def _described(attribute: cached_property[Value], meaning: str) -> cached_property[Value]:
-    attribute.__doc__ = meaning
-    return attribute
+    summary = cached_property[Kind](lambda of: of.results.document(of.path_of(name), kind))
+    summary.__doc__ = meaning
+    return summary
 
 
 @dataclass(frozen=True)
@@ -57,42 +68,42 @@ class RunOutcome:
 
     results: Results = field(repr=False)
 
-    accuracy = _table("The errors of each model on the way, on fitted and on held-out rows.", "accuracy.csv", Accuracy)
-    residuals = _table("What the model leaves of each row.", "residuals.csv", JudgedResidual)
-    fitted_parameters = _table("The parameters of the best model.", "parameters.csv", FittedParameter)
-    identified_parameters = _table("Those that were identified.", "identify/parameters.csv", FittedParameter)
-    faults = _table(
+    accuracy = _Table("The errors of each model on the way, on fitted and on held-out rows.", "accuracy.csv", Accuracy)
+    residuals = _Table("What the model leaves of each row.", "residuals.csv", JudgedResidual)
+    fitted_parameters = _Table("The parameters of the best model.", "parameters.csv", FittedParameter)
+    identified_parameters = _Table("Those that were identified.", "identify/parameters.csv", FittedParameter)
+    faults = _Table(
         "The gross mistakes in the measurements that were put right or left out before any fit.", FAULTS, FaultyRow
     )
-    statements = _table("What the data do not tell.", "identify/identifiability.csv", Statement)
-    correlations = _table("The most correlated parameters.", "identify/correlations.csv", Correlation)
-    counted = _table("Which parameters a model with fewer keeps.", "identify/count.csv", Counted)
-    redundant = _table("Figures of full origins that are no parameters.", "identify/redundant.csv", Redundant)
-    device_noise = _table("The noise of each series of measurements.", "noise.csv", DeviceNoise)
-    placement = _table("Where base, markers and tool are.", "identify/placement.csv", Placed)
-    findings = _table(
+    statements = _Table("What the data do not tell.", "identify/identifiability.csv", Statement)
+    correlations = _Table("The most correlated parameters.", "identify/correlations.csv", Correlation)
+    counted = _Table("Which parameters a model with fewer keeps.", "identify/count.csv", Counted)
+    redundant = _Table("Figures of full origins that are no parameters.", "identify/redundant.csv", Redundant)
+    device_noise = _Table("The noise of each series of measurements.", "noise.csv", DeviceNoise)
+    placement = _Table("Where base, markers and tool are.", "identify/placement.csv", Placed)
+    findings = _Table(
         "Faults of the data, causes, and what no cause explains, best first; none where nothing is lacking.",
         "diagnose/findings.csv",
         Finding,
     )
-    candidates = _table(
+    candidates = _Table(
         "Every cause that was tested, and why others were not.", "diagnose/candidates.csv", CandidateRow
     )
-    next_poses = _table(
+    next_poses = _Table(
         "The poses to measure next, so that findings are told from their rivals.", "diagnose/next_poses.csv", NextPose
     )
-    separations = _table(
+    separations = _Table(
         "How far each finding is from each rival, and what to do about it.", "diagnose/separations.csv", SeparationRow
     )
-    models_in_reach = _table(
+    models_in_reach = _Table(
         "The models near what was found that may be right as well.", "diagnose/models_in_reach.csv", ModelRow
     )
-    cause_probabilities = _table(
+    cause_probabilities = _Table(
         "How probable each cause of these models is.", "diagnose/cause_probabilities.csv", CauseProbability
     )
-    curves = _table("The course of what was found over what it depends on.", "diagnose/curves.csv", CurvePoint)
-    effort_levels = _table("What the robot misses by with each level of effort.", LEVELS, EffortLevel)
-    in_space = _table("How far off the tool is in space, where cameras measured.", IN_SPACE, SpaceError)
+    curves = _Table("The course of what was found over what it depends on.", "diagnose/curves.csv", CurvePoint)
+    effort_levels = _Table("What the robot misses by with each level of effort.", LEVELS, EffortLevel)
+    in_space = _Table("How far off the tool is in space, where cameras measured.", IN_SPACE, SpaceError)
     summary = _summary(
         "How the identification ended: noise, lack of fit, what the data determine, and the solver.",
         "identify/summary.json",
@@ -176,3 +187,28 @@ class RunOutcome:
         worst = self.diagnosis_summary.worst
         where = f" It is {worst.words}." if worst else ""
         return f"{MORE_THAN_NOISE}.{where}"
+
+
+_NAMED: Mapping[str, type] = {
+    **{table.name: table.row_type for table in vars(RunOutcome).values() if isinstance(table, _Table)},
+    "covariance.csv": Covariances,
+    "errors.csv": SmoothAmplitude,
+    "effects.csv": ModelEffect,
+    "needed_conditions.csv": NeededCondition,
+    FIGURES: AloneParameter,
+    "identify/observations.csv": ModelObservation,
+    "diagnose/alternatives.csv": AlternativeParameter,
+    "diagnose/faults.csv": FaultyRow,
+    "diagnose/confirmation.csv": ConfirmedCause,
+    "diagnose/confirmation_curves.csv": ConfirmedPoint,
+    "diagnose/confirmation_accuracy.csv": CarriedAccuracy,
+    "diagnose/confirmation_faults.csv": FaultyRow,
+    POSES: FieldPose,
+    "residual_field/accuracy.csv": FieldAccuracy,
+}
+# Row types of all tables of a calibration by path in a run; those of a model both stages write.
+TABLES: Mapping[str, type] = {
+    path: row_type
+    for name, row_type in _NAMED.items()
+    for path in ([name] if "/" in name else [f"identify/{name}", f"diagnose/{name}"])
+}

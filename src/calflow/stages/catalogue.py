@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from calflow.calibration import TABLES, Calibration
+from calflow.calibration import Calibration
+from calflow.deployment.run_outcome import TABLES
 from calflow.estimation.residual_field import SUMMARY, FieldSummary
 from calflow.files.tables import Results
 from calflow.stages import diagnose, identify, report, sample, select

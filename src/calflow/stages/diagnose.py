@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from calflow.calibration import TABLES, Calibration
+from calflow.calibration import Calibration
+from calflow.deployment.run_outcome import TABLES
 from calflow.diagnosis.background import MODES
 from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.regressors import HELD

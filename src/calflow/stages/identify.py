@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from calflow.calibration import TABLES, identify
+from calflow.calibration import identify
+from calflow.deployment.run_outcome import TABLES
 from calflow.estimation.certainty import Certainty
 from calflow.estimation.identifiability import wrong_counts
 from calflow.estimation.identification import too_few_equations
