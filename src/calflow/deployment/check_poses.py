@@ -67,7 +67,9 @@ def check_poses(calibrated: CalibratedModel, data: Measurements, number: int) ->
     loaded = data.only((data.table["payload"] == _commonest_load(data)[0]).to_numpy())
     there = loaded.only((~loaded.table.duplicated(["pose", "marker"])).to_numpy())
     pose = there.table.groupby("pose", sort=False).ngroup().to_numpy()
-    slope = _by_pose(_slopes(calibrated, there), pose)
+    slopes = [movement.slope * movement.sd for movement in movements(calibrated, there, False)]
+    sigma = np.sqrt(calibrated.device_sigma(there) ** 2 + calibrated.errors.rest[METRE] ** 2)
+    slope = _by_pose(np.concatenate(slopes, axis=2) / sigma[:, None, None], pose)
     prior, criterion = np.eye(slope.shape[2]), ParameterCriterion(slope.shape[2])
     chosen = exchange(slope, prior, greedy(slope, prior, number, criterion), criterion)
     return there.only(np.isin(pose, chosen))
@@ -88,13 +90,6 @@ def unmoved(calibrated: CalibratedModel, data: Measurements) -> Measurements:
     data = replace(data, table=data.table.assign(**at_once))
     there = calibrated.model.point(calibrated.estimate, calibrated.conditions_of(data))
     return replace(data, table=data.table.assign(**dict(zip(POSITION, there.T, strict=True))))
-
-
-def _slopes(calibrated: CalibratedModel, data: Measurements) -> np.ndarray:
-    """Return the Jacobian of rows by all movements in prior standard deviations, over the rows' errors (n, 3, k)."""
-    slopes = [movement.slope * movement.sd for movement in movements(calibrated, data, False)]
-    sigma = np.sqrt(calibrated.device_sigma(data) ** 2 + calibrated.errors.rest[METRE] ** 2)
-    return np.concatenate(slopes, axis=2) / sigma[:, None, None]
 
 
 def _by_pose(slope: np.ndarray, pose: np.ndarray) -> np.ndarray:

@@ -155,7 +155,8 @@ def landing(
     """
     robot, n = model.robot, model.robot.n_joints
     mixed = robot.angle_matrix
-    low, high = _bounds(robot)
+    low, high = robot.stops.T.copy()
+    low[robot.external], high[robot.external] = -np.inf, np.inf  # they do not move, even past their limits
     fixed = np.isin(np.arange(n), robot.external)
     name = "point_by_angles" if targets.rotation is None else "tool_by_angles"
 
@@ -213,13 +214,6 @@ def field_landing(
         aims = replace(targets, position=targets.position - calibrated.field.correction(landed.readings))
         landed = landing(calibrated.model, calibrated.estimate, conditions, aims, start, landed.readings)
     return landed
-
-
-def _bounds(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
-    """Return the bounds of the iteration; external axes do not move and are unbounded, even past their limits."""
-    low, high = robot.stops.T.copy()
-    low[robot.external], high[robot.external] = -np.inf, np.inf
-    return low, high
 
 
 def _aimed(

@@ -26,7 +26,7 @@ from calflow.population.likelihood import ParameterEstimates, ParameterLikelihoo
 from calflow.population.type_prior import FEWEST_ROBOTS, TypePrior
 from calflow.population.unlike import Unlike, unlike
 from calflow.robot.robot import Robot
-from calflow.run_folder import Manifest, damage, of_others, read_manifest
+from calflow.run_folder import damage, of_others, read_manifest
 from calflow.study import Study
 
 DEVIATION_POSES = 200  # random poses over which a deviation's displacement of the tool is averaged
@@ -52,7 +52,9 @@ def collected(robot: FleetRobot, folder: FleetFolder) -> Collected:
     manifest = read_manifest(run)
     if manifest is None:
         raise refuse("holds no run any more", run)
-    stage = _last_fitted(manifest)
+    diagnosed = manifest.stages.get("diagnose")
+    stands = diagnosed and diagnosed.status == "done" and not of_others(manifest, "diagnose", ["identify"])
+    stage = "diagnose" if stands else "identify"  # whose model is the latest valid one
     entry = manifest.stages.get(stage)
     wrong = damage(entry, run) if entry else f"{stage} was never run"
     if wrong:
@@ -72,13 +74,6 @@ def collected(robot: FleetRobot, folder: FleetFolder) -> Collected:
         if row.is_cause
     )
     return Collected(robot.name, robot.type.name, _calibration(run / stage), causes)
-
-
-def _last_fitted(manifest: Manifest) -> str:
-    """Return the stage whose model is the latest valid one."""
-    diagnosed = manifest.stages.get("diagnose")
-    stands = diagnosed and diagnosed.status == "done" and not of_others(manifest, "diagnose", ["identify"])
-    return "diagnose" if stands else "identify"
 
 
 def _calibration(made: Path) -> ParameterEstimates:

@@ -122,7 +122,8 @@ def parameters_section(material: Material) -> list[Block]:
     """Tabulate and draw the parameters."""
     parameters = material.fitted_parameters
     added, robot = len(parameters) > len(material.identified_parameters), material.calibrated.model.robot
-    rows, shaded = lines(parameters, _known_together(material))
+    few = [trade.parameters for trade in of_kind(material, "trade") if len(trade.parameters) <= MOST_MARKED]
+    rows, shaded = lines(parameters, set().union(*few))
     names = ("parameter", "unit", "nominal", "estimate", "sd", "prior_share", "prior_sd")
     free = [row for row in parameters if not row.fixed]
     scaled = pd.DataFrame({name: [getattr(row, name) for row in free] for name in names})
@@ -211,12 +212,6 @@ def known_from(prior_share: float, at_bound: bool, together: bool) -> str:
         if prior_share <= limit:
             return words
     return "prior alone"
-
-
-def _known_together(outcome: RunOutcome) -> set[str]:
-    """Return the parameters that the data determine only in combination with a few others."""
-    groups = [trade.parameters for trade in of_kind(outcome, "trade")]
-    return {name for group in groups if len(group) <= MOST_MARKED for name in group}
 
 
 @section(65, "What the data determine, and what not", "identify/identifiability.csv")
