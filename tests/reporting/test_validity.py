@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from calflow.files.words import mm
+from calflow.reporting.blocks import Plot
 from calflow.reporting.material import Material
-from calflow.reporting.sections.validity import Promised, over_the_workspace
+from calflow.reporting.sections.validity import Promised, validity_section
 from calflow.reporting.style import style
 from calflow.stages.report import report_material
 from reporting.case import context
@@ -50,7 +51,7 @@ def test_a_region_without_gain_is_told(material: Material) -> None:
 def test_it_is_drawn_with_what_was_measured(material: Material) -> None:
     """Fails if either view lacks the poses that were measured, or has no unit."""
     with style():
-        drawn = over_the_workspace(material, Promised.of(material.calibrated, material.data))
+        (drawn,) = (block.drawn for block in validity_section.write(material) if isinstance(block, Plot))
     for axes in drawn.axes[:2]:
         assert len(axes.collections[1].get_offsets()) == len(material.place)
         assert axes.get_xlabel().endswith("[m]")

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
@@ -28,7 +27,7 @@ from calflow.reporting.section import section
 from calflow.reporting.style import crowded, panels, root_mean_square, shade, shades
 
 DRAWN_POSES = 600  # drawn within the joints' limits, or in a region
-MEASURED, STATED = "that were measured", "in the study's region"
+MEASURED, STATED, WITHIN = "that were measured", "in the study's region", "within the joints' limits"
 CAPTION = (
     "Expected error at {poses} drawn at random within the joints' limits (root mean square): the darker, the larger; from the "
     "side and from above. Crosses: measured poses."
@@ -64,9 +63,16 @@ class Promised:
     where: str
 
     @staticmethod
-    def of(calibrated: CalibratedModel, data: Measurements) -> Promised:
-        """Return the expected errors at random poses within the joints' limits, with the first payload and marker measured."""
-        return _drawn(calibrated, data, None, "within the joints' limits")
+    def of(
+        calibrated: CalibratedModel, data: Measurements, region: np.ndarray | None = None, where: str = WITHIN
+    ) -> Promised:
+        """Return the expected errors at random poses in a region (2, 3) [m], with the first payload and marker measured."""
+        first, draws = data.table.iloc[0], np.random.default_rng(0)
+        readings, conditions = candidates(
+            calibrated.model, DRAWN_POSES, first["payload"], first["marker"], region, draws
+        )
+        outside = np.asarray(calibrated.beyond_range(readings).any(axis=1))
+        return _promised_at(calibrated, conditions, outside, where)
 
     @staticmethod
     def at_work(calibrated: CalibratedModel, data: Measurements, planned: Mapping[str, Any]) -> Promised:
@@ -80,7 +86,7 @@ class Promised:
         if box:
             region = _Region.model_validate(box)
             with suppress(InputError):  # hardly any pose reaches it
-                return _drawn(calibrated, data, np.array([region.region_min, region.region_max]), STATED)
+                return Promised.of(calibrated, data, np.array([region.region_min, region.region_max]), STATED)
         return _promised_at(calibrated, data.conditions, np.zeros(len(data), dtype=bool), MEASURED)
 
     @property
@@ -107,13 +113,6 @@ def rms_mm(error: np.ndarray) -> str:
     return mm(1e3 * root_mean_square(error))
 
 
-def _drawn(calibrated: CalibratedModel, data: Measurements, region: np.ndarray | None, where: str) -> Promised:
-    first, draws = data.table.iloc[0], np.random.default_rng(0)
-    readings, conditions = candidates(calibrated.model, DRAWN_POSES, first["payload"], first["marker"], region, draws)
-    outside = np.asarray(calibrated.beyond_range(readings).any(axis=1))
-    return _promised_at(calibrated, conditions, outside, where)
-
-
 def _promised_at(calibrated: CalibratedModel, conditions: np.ndarray, outside: np.ndarray, where: str) -> Promised:
     place, error = calibrated.expected_point(conditions), calibrated.promised_distance(conditions)
     nominal, gained = calibrated.distance_moved(conditions), calibrated.gain_is_certain(conditions)
@@ -126,39 +125,23 @@ def from_the_side(material: Material, place: np.ndarray) -> np.ndarray:
     return np.column_stack([np.hypot(*(place - base)[:, :2].T), place[:, 2]])
 
 
-def draw_map(axes: Axes, seen: np.ndarray, size: np.ndarray, label: str, crosses: Sequence[np.ndarray] = ()) -> None:
-    """Draw sizes (n,) [mm] at places seen (n, 2) [m] on a scale of their own with its label; crosses (k, 2) mark others."""
-    low, high = (float(np.quantile(size, share)) for share in (0.02, 0.98))
-    norm, dark = Normalize(low, max(high, 1.01 * low)), shades(0.05)
-    shade(axes, seen, size, dark, norm)
-    for marked in crosses:
-        x, y = marked.T
-        for colour, width in (("white", 1.5), ("black", 0.6)):  # visible on any shade
-            axes.scatter(x, y, 1.5 * crowded(len(marked)), marker="x", color=colour, linewidths=width)
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.figure.colorbar(ScalarMappable(norm, dark), ax=axes, fraction=0.06, pad=0.02, extend="max", label=label)
+Map = tuple[str, Mapping[str, str], np.ndarray, Sequence[np.ndarray]]  # title, axes' labels, sizes, places and crosses
 
 
-def before_and_now(material: Material, shown: Promised) -> Figure:
-    """Draw the nominal robot's error and the calibrated one's expected error, from the side."""
-    drawn, (grid,) = panels(1, 2, 2.7)
-    sides = {"before: nominal robot": shown.nominal, "now: expected of the calibrated robot": shown.error}
-    for axes, (title, error) in zip(grid, sides.items(), strict=True):
-        axes.set(title=title, **SIDE)
-        draw_map(axes, from_the_side(material, shown.place), 1e3 * error, "error [mm]")
-    return drawn
-
-
-def over_the_workspace(material: Material, shown: Promised) -> Figure:
-    """Draw the expected errors over the workspace, from the side and from above, with the measured poses."""
-    drawn, (grid,) = panels(1, 2, 2.7)
-    views = (
-        ("from the side", SIDE, [from_the_side(material, place) for place in (shown.place, material.place)]),
-        ("from above", ABOVE, [shown.place[:, :2], material.place[:, :2]]),
-    )
-    for axes, (title, labels, (seen, *crosses)) in zip(grid, views, strict=True):
+def maps(label: str, *every: Map) -> Figure:
+    """Draw sizes (n,) [m] at places (n, 2) [m] side by side, each on a scale of its own, with crosses (k, 2) at others."""
+    drawn, (grid,) = panels(1, len(every), 2.7)
+    for axes, (title, labels, errors, (seen, *crosses)) in zip(grid, every, strict=True):
+        size = 1e3 * errors
+        low, high = (float(np.quantile(size, share)) for share in (0.02, 0.98))
+        norm, dark = Normalize(low, max(high, 1.01 * low)), shades(0.05)
+        shade(axes, seen, size, dark, norm)
+        for marked in crosses:
+            for colour, width in (("white", 1.5), ("black", 0.6)):  # visible on any shade
+                axes.scatter(*marked.T, 1.5 * crowded(len(marked)), marker="x", color=colour, linewidths=width)
         axes.set(title=title, **labels)
-        draw_map(axes, seen, 1e3 * shown.error, "expected error [mm]", crosses)
+        axes.set_aspect("equal", adjustable="datalim")
+        drawn.colorbar(ScalarMappable(norm, dark), ax=axes, fraction=0.06, pad=0.02, extend="max", label=label)
     return drawn
 
 
@@ -179,10 +162,12 @@ def region_section(material: Material) -> list[Block]:
     """State and draw the errors before and after calibration where the robot works."""
     shown = Promised.at_work(material.calibrated, material.data, material.settings.get("select", {}))
     off = f"The nominal robot is off by {rms_mm(shown.nominal)} mm there."
-    caption = IN_REGION.format(where=shown.where)
+    side = [from_the_side(material, shown.place)]
+    before = ("before: nominal robot", SIDE, shown.nominal, side)
+    drawn = maps("error [mm]", before, ("now: expected of the calibrated robot", SIDE, shown.error, side))
     return [
         Paragraph(f"{shown.words} {off}", keep=True),
-        Plot("region", before_and_now(material, shown), caption, as_rows(shown)),
+        Plot("region", drawn, IN_REGION.format(where=shown.where), as_rows(shown)),
     ]
 
 
@@ -193,8 +178,13 @@ def validity_section(material: Material) -> list[Block]:
     when = zip(material.certainty.expected_mm, ("then", "an hour later", "a day later"), strict=False)
     moments = ", ".join(f"{mm(error)} mm {moment}" for error, moment in when)
     caption = CAPTION.format(poses=plural(len(shown.place), "pose"))
+    sides = [from_the_side(material, place) for place in (shown.place, material.place)]
+    above = [place[:, :2] for place in (shown.place, material.place)]
+    drawn = maps(
+        "expected error [mm]", ("from the side", SIDE, shown.error, sides), ("from above", ABOVE, shown.error, above)
+    )
     return [
         Paragraph(shown.words, keep=True),
         *([Paragraph(f"At the measured poses: {moments}, in the instrument's frame.")] if moments else []),
-        Plot("validity", over_the_workspace(material, shown), caption, as_rows(shown)),
+        Plot("validity", drawn, caption, as_rows(shown)),
     ]
