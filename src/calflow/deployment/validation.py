@@ -17,6 +17,7 @@ from calflow.deployment.attained import (
     FREEDOM,
     NOMINAL,
     TARGET,
+    Alignment,
     Attained,
     Station,
     cube_edge,
@@ -297,30 +298,25 @@ class _Comparison:
         fewer = int(attained.fitted.sum()) + int(np.ceil(attained.taken / attained.values))
         return Errors.of(attained.by_pose(size, "max"), fewer)
 
-    @property
-    def motions(self) -> list[tuple[float, float]]:
-        """Mean displacement [m] and rotation [rad] of each fitted frame; of all frames where none is fitted and all can be."""
+    @cached_property
+    def motions(self) -> list[tuple[np.ndarray, Alignment]]:
+        """The points and the motion of each fitted frame; of all frames where none is fitted and all can be."""
         attained = self.attained
-        asked = (
-            attained.fitted if attained.fitted.any() else np.full(len(attained.fitted), None not in attained.motions)
-        )
-        return [
-            (motion.moved(attained.measured[rows]), motion.angle)
-            for motion, rows, wanted in zip(attained.motions, attained.of_sessions, asked, strict=True)
-            if wanted and motion
-        ]
+        if attained.fitted.any() or None in attained.motions:
+            return attained.refitted
+        return replace(attained, fitted=np.full(len(attained.fitted), True)).refitted
 
     @cached_property
     def moved_p(self) -> float | None:
         """The p-value of the reduction of errors by a rigid motion (F test); None where a frame moved, or cannot be fitted."""
         attained, error = self.attained, self.error[CALIBRATED]
-        frames = [motion for motion in attained.motions if motion]
-        if len(frames) < len(attained.motions) or attained.fitted.any():
+        if attained.fitted.any() or not self.motions:
             return None
         left = np.empty_like(error)
-        for rows, frame in zip(attained.of_sessions, frames, strict=True):
-            left[rows] = frame.of(attained.measured[rows]) - attained.expected[CALIBRATED][rows]
-        taken, rest = FREEDOM * len(frames), COORDINATES * len(error) - FREEDOM * len(frames)
+        for rows, motion in self.motions:
+            left[rows] = motion.of(attained.measured[rows]) - attained.expected[CALIBRATED][rows]
+        taken = FREEDOM * len(self.motions)
+        rest = COORDINATES * len(error) - taken
         squares, remaining = float((error**2).sum()), float((left**2).sum())
         if rest <= 0 or remaining <= 0:
             return 1.0
@@ -414,15 +410,15 @@ def _summary(
     """Return the summary without a verdict; noise: the device's, of a row, per axis."""
     attained, fitted = compared.attained, compared.attained.fitted
     shown, in_mm = attained.unit.shown, attained.in_mm
-    motions, promised = compared.motions, float(np.sqrt(attained.by_pose(attained.promised**2, "mean").mean()))
+    promised = float(np.sqrt(attained.by_pose(attained.promised**2, "mean").mean()))
     first = np.unique(attained.pose, return_index=True)[1]  # point of each pose
     return ValidationSummary(
         status="no tolerance", judged=compared.judged, sent=sent, tolerance_mm=None, confidence=confidence,
         further_within=None, task_poses=task or len(first), task_within=None,
         decided_by="task" if task else "further pose", poses=len(first), rows=rows, beyond=0,
         station="fitted" if fitted.any() else "known", frames=int(fitted.sum()), freedom_lost=compared.freedom_lost,
-        moved_mm=max((1e3 * far for far, _ in motions), default=None),
-        turned_mrad=max((1e3 * angle for _, angle in motions), default=None), moved_p=compared.moved_p,
+        moved_mm=max((1e3 * motion.moved(attained.measured[rows]) for rows, motion in compared.motions), default=None),
+        turned_mrad=max((1e3 * motion.angle for _, motion in compared.motions), default=None), moved_p=compared.moved_p,
         noise_mm=None if noise is None else _or_none(in_mm(noise)), promised_mm=in_mm(promised),
         ap_mm=_or_none(attained.position_in_mm(compared.size[compared.judged].max())),
         rp_mm=_or_none(in_mm(_largest(attained.repeatability))), fewest_cycles=int(attained.table["rows"].min()),
