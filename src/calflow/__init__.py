@@ -17,12 +17,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from calflow.calibration import Calibration, diagnose, identify, report
+    from calflow.calibration import Calibration, diagnose, export, identify, report
     from calflow.deployment.check_poses import choose_check_poses
     from calflow.deployment.comparison import Comparison
     from calflow.deployment.compensation import Compensation, compensate
     from calflow.deployment.drift import Drift, drift
-    from calflow.deployment.export import export
     from calflow.deployment.history import History
     from calflow.deployment.prediction import Prediction, predict
     from calflow.deployment.validation import Validation, validate
@@ -54,12 +53,11 @@ __all__ = [
 ]  # fmt: skip
 
 _HOMES = {
-    "calibration": ("Calibration", "diagnose", "identify", "report"),
+    "calibration": ("Calibration", "diagnose", "export", "identify", "report"),
     "deployment.check_poses": ("choose_check_poses",),
     "deployment.compensation": ("Compensation", "compensate"),
     "deployment.comparison": ("Comparison",),
     "deployment.drift": ("Drift", "drift"),
-    "deployment.export": ("export",),
     "deployment.history": ("History",),
     "deployment.prediction": ("Prediction", "predict"),
     "deployment.validation": ("Validation", "validate"),

@@ -394,7 +394,7 @@ class Calibration(CalibratedModel, RunOutcome):
             model, conditions = self.later(data.given), data.conditions
         moved_by = drives(self.folder.folder / INPUTS / "robot.toml") if self.folder else None
         exported = exporting.export(
-            model, to, conditions=conditions, levels=self.levels, maker=self.robot, drives=moved_by, beside=texts
+            model, to, self.levels, conditions=conditions, maker=self.robot, drives=moved_by, beside=texts
         )
         return replace(exported, notes=(*lost, *exported.notes))
 
@@ -637,8 +637,8 @@ def identify(
     return Calibration(**_fields(model), robot=robot, request=request, results=results, measured=lambda: data.on(robot))
 
 
-# The methods as functions: `calflow.diagnose` and `calflow.report`.
-diagnose, report = Calibration.diagnose, Calibration.report
+# The methods as functions: `calflow.diagnose`, `calflow.export` and `calflow.report`.
+diagnose, export, report = Calibration.diagnose, Calibration.export, Calibration.report
 
 
 def _fields(model: CalibratedModel) -> dict[str, Any]:

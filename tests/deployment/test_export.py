@@ -7,6 +7,7 @@ import json
 import re
 import warnings
 from dataclasses import replace
+from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import numpy as np
@@ -16,6 +17,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calflow.deployment.export import _between, export
+from calflow.deployment.figures_alone import EffortLevel, FiguresAlone, Levels, beyond_figures
 from calflow.files.problems import InputError
 from calflow.model import build
 from calflow.robot.formats.rigid_chain import properties_text, rigid_chain, urdf_text
@@ -28,6 +30,10 @@ from robot.formats import urdfs
 from robots import ASKEW, base_frame, figures, frames, hh800, industrial, marker_position, placed, poses, rows, ur10
 
 MICROMETRE = 1e-6
+EXACT = Levels({}, (), tuple(
+    EffortLevel(level=level, split="train", unit="mm", mean=mean, rms=mean, max=mean, promised=mean)
+    for level, mean in (("nothing", 1.0), ("figures", 0.1), ("commands", 0.1))
+))  # fmt: skip
 NUMBER = 1000
 
 
@@ -60,7 +66,7 @@ def posed(request):
 def as_file(known, packed, folder):
     """The robot that the exported DH file states."""
     path = folder / "robot.toml"
-    path.write_text(export(known, "dh", conditions=packed).text, encoding="utf-8")
+    path.write_text(export(known, "dh", EXACT, conditions=packed).text, encoding="utf-8")
     return Robot.from_toml(path)
 
 
@@ -97,7 +103,7 @@ def test_a_dh_file_reads_back(posed, tmp_path):
 def test_a_urdf_reads_back(posed, tmp_path):
     """Fails if an origin, an axis, a sign or the base is not as calibrated: by pinocchio."""
     known, packed, angles, there = posed
-    found = export(known, "urdf", conditions=packed)
+    found = export(known, "urdf", EXACT, conditions=packed)
     model = pin.buildModelFromXML(found.text)
     data, robot = model.createData(), as_file(known, packed, tmp_path)
     measuring, marker = (model.getFrameId(name) for name in ("measuring_frame", f"marker_{next(iter(robot.markers))}"))
@@ -119,14 +125,14 @@ def test_json_and_xacro_properties_read_back(posed, tmp_path):
     known, packed, angles, there = posed
     robot = as_file(known, packed, tmp_path)
     values = variables(robot, angles)
-    document = json.loads(export(known, "json", conditions=packed).text)
+    document = json.loads(export(known, "json", EXACT, conditions=packed).text)
     origins = [np.array(joint["origin"]) for joint in document["joints"]]
     axes = [joint["axis"] for joint in document["joints"]]
     marker = next(iter(document["markers_in_flange"].values()))
     base, flange = (np.array(document[name]) for name in ("base_in_measuring_frame", "flange_in_last_joint"))
     seen = by_product(origins, axes, base, flange, marker, values)
     np.testing.assert_allclose(seen, there, rtol=0, atol=MICROMETRE)
-    root = ElementTree.fromstring(export(known, "xacro-properties", conditions=packed).text)
+    root = ElementTree.fromstring(export(known, "xacro-properties", EXACT, conditions=packed).text)
     said = {one.get("name"): np.array(one.get("value").split(), dtype=float) for one in root}
 
     def place(name):
@@ -144,7 +150,9 @@ def test_a_controller_s_figures_read_back(posed):
     """Fails if a figure is in another unit than stated, or the base's angles are another maker's."""
     known, packed, angles, there = posed
     robot = known.model.robot
-    table = pd.read_csv(io.StringIO(export(known, "controller", conditions=packed).text)).set_index(["part", "figure"])
+    table = pd.read_csv(io.StringIO(export(known, "controller", EXACT, conditions=packed).text)).set_index(
+        ["part", "figure"]
+    )
     told, figs = table["calibrated"], figures(robot)
     for i in range(robot.n_joints):
         for name in ("alpha", "theta", "beta"):
@@ -178,7 +186,7 @@ def test_a_controller_s_figures_are_beside_the_maker_s_file():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         packed = rows(known.model, poses(began, 3), marker=next(iter(began.markers)))
-        text = export(known, "controller", conditions=packed, maker=maker).text
+        text = export(known, "controller", EXACT, conditions=packed, maker=maker).text
     table = pd.read_csv(io.StringIO(text)).set_index(["part", "figure"])
     assert table["nominal"]["base", "x"] == pytest.approx(500.0)
     assert table["difference"]["base", "x"] == pytest.approx(100.0)
@@ -214,15 +222,17 @@ def test_what_is_left_out_is_told_with_its_cost():
     stiff = known.estimate.copy()
     stiff[known.model.columns(known.model.effects[1])] = 0.0
     off = known.model.point(known.estimate, packed) - known.model.point(stiff, packed)
-    found = export(known, "dh", conditions=packed)
-    whole, one = found.left_out
+    figures = known.model.columns(known.model.effects[0])
+    rows_of = tuple(SimpleNamespace(estimate=value, fixed=False) for value in known.estimate[figures])
+    alone = FiguresAlone(build(robot, ("geometry",)), rows_of)
+    levels = replace(EXACT, alone={"figures": alone}, left_out=beyond_figures(known.model))
+    found = export(known, "dh", levels, conditions=packed)
+    (one,) = found.left_out
     assert (one.effect, one.parts[0]) == ("joint-compliance", "joint1")
-    for lost in (whole, one):
-        assert lost.max_mm == pytest.approx(1e3 * np.linalg.norm(off, axis=1).max())
-    assert [f"joint-compliance (joint1 … joint{robot.n_joints})" in note for note in found.notes] == [True]
-    assert f"{one.max_mm:.3f} mm at most" in found.notes[0]
-    assert len(export(known, "controller", conditions=packed).left_out) == 3
-    assert export(identified(robot), "dh", conditions=packed).left_out == ()
+    assert one.max_mm == pytest.approx(1e3 * np.linalg.norm(off, axis=1).max())
+    (said,) = (note for note in found.notes if f"joint-compliance (joint1 … joint{robot.n_joints})" in note)
+    assert f"{one.max_mm:.3f} mm at most" in said
+    assert export(identified(robot), "dh", EXACT, conditions=packed).left_out == ()
     assert [
         _between(parts) for parts in (("joint3",), ("joint3", "joint2"), ("joint1", "joint2", "joint6", "joint2"))
     ] == ["joint3", "joint2 and joint3", "joint1 … joint6"]
@@ -234,7 +244,7 @@ def test_markers_have_names_that_xacro_takes():
     robot = replace(robot, markers=dict.fromkeys(("ball 1.5", "ball-1.5", "tip"), next(iter(robot.markers.values()))))
     known = identified(robot)
     packed = rows(known.model, poses(robot, 3), marker="tip")
-    root = ElementTree.fromstring(export(known, "xacro-properties", conditions=packed).text)
+    root = ElementTree.fromstring(export(known, "xacro-properties", EXACT, conditions=packed).text)
     markers = [one.get("name") for one in root if one.get("name", "").startswith("marker_")]
     assert markers == ["marker_1_xyz", "marker_2_xyz", "marker_tip_xyz"]
 
@@ -251,11 +261,13 @@ def test_a_robot_of_a_urdf_reads_back(tmp_path):
     read = as_file(known, packed, tmp_path)
     np.testing.assert_allclose(build(read, ()).point(np.zeros(0), packed), there, rtol=0, atol=MICROMETRE)
     written = tmp_path / "written.urdf"
-    written.write_text(export(known, "urdf", conditions=packed).text)
+    written.write_text(export(known, "urdf", EXACT, conditions=packed).text)
     reference = urdfs.Reference(written, [joint.name for joint in robot.joints])
     seen = [reference.frame(row, "marker_tip", "measuring_frame")[:3, 3] for row in angles]
     np.testing.assert_allclose(seen, there, rtol=0, atol=MICROMETRE)
-    table = pd.read_csv(io.StringIO(export(known, "controller", conditions=packed).text)).set_index(["part", "figure"])
+    table = pd.read_csv(io.StringIO(export(known, "controller", EXACT, conditions=packed).text)).set_index(
+        ["part", "figure"]
+    )
     for error, value in zip(known.model.effects[0].errors, known.estimate, strict=True):
         if error.field == "steps":
             said = table.loc[error.parameter.part.replace("joint", "joint "), error.parameter.symbol]
@@ -273,10 +285,10 @@ def test_a_tree_reads_back(tmp_path):
     readings = poses(robot, NUMBER) * [joint.driven for joint in robot.joints]
     written, read = tmp_path / "written.urdf", tmp_path / "read.toml"
     packed = rows(known.model, readings, marker="eye")
-    written.write_text(export(known, "urdf", conditions=packed).text)
-    read.write_text(export(known, "dh", conditions=packed).text)
+    written.write_text(export(known, "urdf", EXACT, conditions=packed).text)
+    read.write_text(export(known, "dh", EXACT, conditions=packed).text)
     reference = urdfs.Reference(written, [joint.name for joint in robot.joints])
-    document = json.loads(export(known, "json", conditions=packed).text)
+    document = json.loads(export(known, "json", EXACT, conditions=packed).text)
     on = {one["joint"]: list(one["markers"]) for one in document["further_flanges"]}
     assert on == {"to_torso": ["torso"], "left4": ["left_tip"], "head2": ["eye"]}
     for name in markers:
@@ -291,7 +303,7 @@ def test_a_tree_reads_back(tmp_path):
         again = build(Robot.from_toml(read), ()).point(np.zeros(0), packed)
         np.testing.assert_allclose(again, there, rtol=0, atol=MICROMETRE)
     with pytest.raises(InputError, match="of one arm, this robot has several"):
-        export(known, "controller", conditions=packed)
+        export(known, "controller", EXACT, conditions=packed)
 
 
 def test_a_tree_of_dh_figures_reads_back(tmp_path):
@@ -306,8 +318,8 @@ def test_a_tree_of_dh_figures_reads_back(tmp_path):
     readings = poses(known.model.robot, NUMBER)
     packed = rows(known.model, readings, marker="right")
     read = tmp_path / "read.toml"
-    read.write_text(export(known, "dh", conditions=packed).text)
-    model = pin.buildModelFromXML(export(known, "urdf", conditions=packed).text)
+    read.write_text(export(known, "dh", EXACT, conditions=packed).text)
+    model = pin.buildModelFromXML(export(known, "urdf", EXACT, conditions=packed).text)
     data = model.createData()
     for name in markers:
         packed = rows(known.model, readings, marker=name)
@@ -335,7 +347,7 @@ def test_a_planner_can_move_what_it_reads(tmp_path):
     robot = Robot.from_toml(tmp_path / "robot.toml")
     known = identified(robot)
     packed = rows(known.model, poses(robot, 3), marker="E")
-    told = export(known, "urdf", conditions=packed, drives=drives(tmp_path / "robot.toml"))
+    told = export(known, "urdf", EXACT, conditions=packed, drives=drives(tmp_path / "robot.toml"))
     limits = [one.attrib for one in ElementTree.fromstring(told.text).iter("limit")]
     assert [(float(one["effort"]), float(one["velocity"])) for one in limits] == [(150, 2.5)] + 5 * [(1000, 1)]
     said = [note for note in told.notes if "placeholder" in note]

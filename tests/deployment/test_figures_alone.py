@@ -64,11 +64,11 @@ def missed(written: exporting.Export, folder: Path, data: cf.Measurements) -> fl
 
 def test_figures_are_those_that_a_fit_of_them_alone_finds(soft, tmp_path):
     """Fails if what is written is the calibration cut down, or misses by another amount than is said."""
-    written = exporting.export(soft, "dh", conditions=soft.data.conditions, levels=soft.levels)
+    written = exporting.export(soft, "dh", soft.levels, conditions=soft.data.conditions)
     levels = soft.levels
     alone = cf.identify(soft.robot, soft.data, ["geometry"], starts=1)
     best = next(row.mean for row in alone.accuracy if row.split == "holdout" and row.model == "geometry")
-    cut = exporting.export(soft, "dh", conditions=soft.data.conditions)
+    cut = exporting.Export(exporting.robot_of(soft).toml_text(), (), ())
     assert missed(written, tmp_path, soft.data) == pytest.approx(levels.by("figures").mean, rel=1e-3)
     assert levels.by("figures").mean < 1.03 * best
     assert missed(cut, tmp_path, soft.data) > 1.15 * best
@@ -121,7 +121,7 @@ def test_figures_that_are_worse_than_the_makers_are_refused(soft):
     levels = soft.levels
     levels = replace(levels, every=(replace(levels.by("nothing"), mean=0.1, max=0.2), *levels.every[1:]))
     with pytest.raises(InputError, match="leave the maker's"):
-        exporting.export(soft, "controller", conditions=soft.data.conditions, levels=levels)
+        exporting.export(soft, "controller", levels, conditions=soft.data.conditions)
 
 
 @pytest.mark.skipif("CALFLOW_DATA" not in os.environ, reason="CALFLOW_DATA names no folder of measured data")

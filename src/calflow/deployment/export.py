@@ -18,7 +18,6 @@ import numpy as np
 from calflow.deployment.conventions import nearest_vector
 from calflow.deployment.figures_alone import GIVEN, Effort, FiguresAlone, Levels, beyond_figures, is_of_figures
 from calflow.design.candidates import candidates
-from calflow.effects import Effect
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.registration import with_placement_errors
 from calflow.estimation.residual_field import NOT_PHYSICAL
@@ -44,7 +43,6 @@ from calflow.robot.mechanism import Row, nominal_dimensions
 from calflow.robot.robot import Robot
 
 ANEW = "the figures are fitted anew to the measurements, since whoever reads them knows nothing else of the model"
-EVERYTHING = "everything that is not a figure of the robot"
 FIELD = f"residual field ({NOT_PHYSICAL})"
 HOLDS: dict[Maker, str] = {
     "abb-moc": "MOC.cfg holds calibration offsets and the base frame",
@@ -54,7 +52,6 @@ HOLDS: dict[Maker, str] = {
 NO_BASE = "the base is left as it is: the robot file does not know where the robot stands (base known = false)"
 HASH = "the driver compares 'hash' with the robot's, and says that they differ: put there that of ur_calibration's file"
 DRAWN_POSES = 500  # random poses within the joint limits, used without measurements
-ALL_BUT_ZEROS = "lengths and twists, where only joint zeros, base and tool can be typed in"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,35 +86,16 @@ def robot_of(alone: FiguresAlone | CalibratedModel) -> Robot:
     return replace(placed, joints=joints, base=base, markers=markers, loop=loop)
 
 
-def cost_together(calibrated: CalibratedModel, robot: Robot, conditions: np.ndarray) -> tuple[NotExported, ...]:
-    """Return the cost, for a robot's figures, of leaving out all that they cannot hold at packed rows (n_conditions, n)."""
+def cost_of_figures(calibrated: CalibratedModel, robot: Robot, conditions: np.ndarray) -> NotExported:
+    """Return the cost of leaving out all that a robot's figures cannot hold, at packed rows (n_conditions, n)."""
     others = beyond_figures(calibrated.model)
     names = list(dict.fromkeys(effect.id for effect in others)) + [FIELD] * bool(calibrated.field)
-    bare = _points(calibrated.model, robot, conditions)
-    return (cost_without(" and ".join(names), others, calibrated.expected_point(conditions), bare),)
-
-
-def cost_of_each(calibrated: CalibratedModel, robot: Robot, conditions: np.ndarray) -> tuple[NotExported, ...]:
-    """Return the cost of leaving out all that figures cannot hold, then of each effect alone; none where they hold all."""
-    model, p = calibrated.model, calibrated.estimate
-    others = beyond_figures(model)
-    every = calibrated.expected_point(conditions)
-    costs = [cost_without(EVERYTHING, (), every, _points(model, robot, conditions))]
-    for name in dict.fromkeys(effect.id for effect in others):
-        of_name = [effect for effect in others if effect.id == name]
-        lean = replace(model, effects=tuple(effect for effect in model.effects if effect not in of_name))
-        without = lean.point(model.handed_on(p, lean), conditions)
-        costs.append(cost_without(name, of_name, model.point(p, conditions), without))
-    if calibrated.field:
-        costs.append(cost_without(FIELD, (), every, model.point(p, conditions)))
-    return tuple(costs) if others or calibrated.field else ()
-
-
-def cost_without(name: str, effects: Sequence[Effect], every: np.ndarray, without: np.ndarray) -> NotExported:
-    """Return the cost of leaving effects or another part out, from points (n, 3) [m] with and without it."""
-    off = 1e3 * np.linalg.norm(every - without, axis=1)
-    parts = dict.fromkeys(parameter.part for effect in effects for parameter in effect.declared)
-    return NotExported(effect=name, parts=tuple(parts), mean_mm=float(off.mean()), max_mm=float(off.max()))
+    parts = dict.fromkeys(parameter.part for effect in others for parameter in effect.declared)
+    alone = Model(robot, (), calibrated.model.given).point(np.zeros(0), conditions)
+    off = 1e3 * np.linalg.norm(calibrated.expected_point(conditions) - alone, axis=1)
+    return NotExported(
+        effect=" and ".join(names), parts=tuple(parts), mean_mm=float(off.mean()), max_mm=float(off.max())
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -205,8 +183,8 @@ class Export:
 
 @checked_arguments
 def export(
-    calibrated: CalibratedModel, to: Format, *, conditions: np.ndarray | None = None, levels: Levels | None = None,
-    maker: Robot | None = None, drives: Mapping[str, Drive] | None = None, beside: Mapping[Path, str] | None = None,
+    calibrated: CalibratedModel, to: Format, levels: Levels, *, conditions: np.ndarray | None = None, maker: Robot | None = None,
+    drives: Mapping[str, Drive] | None = None, beside: Mapping[Path, str] | None = None,
 ) -> Export:  # fmt: skip
     """Return a calibrated model in a format; notes state what the format cannot hold, and the cost in mm.
 
@@ -215,9 +193,9 @@ def export(
     Args:
         calibrated: the calibrated model.
         to: the format; dh is a robot file with the calibrated figures in place of the maker's.
+        levels: its figures fitted alone.
         conditions: packed conditions (n_conditions, n) of the measured rows, over which costs are computed; None:
             those of random poses within the joint limits.
-        levels: figures fitted alone, needed for a controller's own files; None: those of the whole model are exported.
         maker: the robot as in its file, where the calibration placed base, tool or markers elsewhere before it began.
         drives: for a URDF, the drive of each joint, by its name in the robot.
         beside: for a controller's own files, their present texts.
@@ -228,34 +206,32 @@ def export(
     if conditions is None:
         calibrated = replace(calibrated, model=replace(calibrated.model, given=()))
         conditions = _anywhere(calibrated.model)
-    if levels and levels.harm:
+    if levels.harm:
         raise refuse(levels.harm)
     if to in CONTROLLER_FILES:
-        if levels is None:
-            raise ValueError("a controller's own files take zeros fitted alone")
         return _controller_file(cast("Maker", to), levels, maker or calibrated.model.robot, beside or {})
     if beside:
         raise refuse(f"expected no file: '{to}' states the whole robot", key="beside")
-    worth = (levels.words,) if levels else ()
     figures: FiguresAlone | CalibratedModel = calibrated
-    cost = cost_of_each
-    if levels and (levels.left_out or calibrated.field):
-        figures, cost, worth = levels.figures, cost_together, (ANEW, *worth)
+    notes: tuple[str, ...] = (levels.words,)
+    alone = bool(levels.left_out or calibrated.field)
+    if alone:
+        figures, notes = levels.figures, (ANEW, levels.words)
     robot = replace(robot_of(figures), expected=calibrated.model.robot.expected)
-    lost = cost(calibrated, robot, conditions)
+    lost = (cost_of_figures(calibrated, robot, conditions),) if alone else ()
+    notes += _said(lost)
     if to == "dh":
-        return Export(robot.toml_text(), (*worth, *_said(lost)), lost)
+        return Export(robot.toml_text(), notes, lost)
     if to == "controller":
         if not robot.is_one_arm:
             raise refuse(
                 "a controller's figures are of one arm, this robot has several: expected urdf, xacro-properties, json or dh"
             )
-        lost = lost if levels else (*lost, _zeros_alone(calibrated, robot, conditions))
         table = to_frame(controller_figures(maker or calibrated.model.robot, robot), ControllerFigure)
-        return Export(csv_text(table), (*worth, *_said(lost)), lost)
+        return Export(csv_text(table), notes, lost)
     chain, drives_of = rigid_chain(robot), [(drives or {}).get(joint.name, Drive()) for joint in robot.joints]
     more = {"ur-calibration": (HASH,), "urdf": said_of_drives(chain, drives_of)}.get(to, ())
-    notes = (*worth, *_said(lost), *said_of_variables(robot), *more)
+    notes += (*said_of_variables(robot), *more)
     said = ("calibrated figures, SI units", *notes)
     heading = "; ".join(said)
     writers: dict[str, Callable[[], str]] = {
@@ -309,26 +285,8 @@ def _figures(calibrated: CalibratedModel, robot: Robot, lost: Sequence[NotExport
     return {"figures": json.loads(robot.canonical()), "parameters": parameters, "left_out": left_out}
 
 
-def _zeros_alone(calibrated: CalibratedModel, robot: Robot, conditions: np.ndarray) -> NotExported:
-    """Return the cost where a controller takes joint zeros, base and tool, but keeps its lengths and twists."""
-    model = calibrated.model
-    joints = tuple(
-        replace(mine, frame=replace(mine.frame, turn=theirs.frame.turn))
-        for mine, theirs in zip(model.robot.joints, robot.joints, strict=True)
-    )
-    zeros = replace(robot, joints=joints, loop=model.robot.loop)
-    with_all, without = (_points(model, one, conditions) for one in (robot, zeros))
-    return cost_without(ALL_BUT_ZEROS, (), with_all, without)
-
-
-def _points(model: Model, robot: Robot, conditions: np.ndarray) -> np.ndarray:
-    return Model(robot, (), model.given).point(np.zeros(0), conditions)
-
-
 def _said(lost: Sequence[NotExported]) -> tuple[str, ...]:
-    """Return notes on what is left out; the sum of all effects only where there are several."""
-    if sum(bool(loss.parts) for loss in lost) == 1:
-        lost = [loss for loss in lost if loss.effect != EVERYTHING]
+    """Return notes on what is left out."""
     return tuple(
         f"left out: {loss.effect}{f' ({_between(loss.parts)})' if loss.parts else ''}: the tool is then off by "
         f"{loss.mean_mm:.3f} mm on average over the measured rows, {loss.max_mm:.3f} mm at most"

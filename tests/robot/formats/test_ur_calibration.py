@@ -19,6 +19,7 @@ from calflow.robot.formats.ur_calibration import LINKS, driver_yaml, with_factor
 from calflow.robot.frames import placement_matrix
 from calflow.templates import library_file
 from conftest import in_process
+from deployment.test_export import EXACT
 from estimation.data import calibration
 
 NOMINAL = {  # d, a, alpha of Universal Robots
@@ -195,7 +196,7 @@ def test_a_calibrated_robot_is_what_the_driver_loads(tmp_path):
     model = build(known, ("geometry",))
     off = 0.3 * model.prior_sd * np.random.default_rng(3).standard_normal(len(model.nominal))
     calibrated = calibration(model, model.nominal + off, 1e-12 * np.eye(len(off)), sigma=1e-5)
-    found = export(calibrated, "ur-calibration")
+    found = export(calibrated, "ur-calibration", EXACT)
     assert any("hash" in note for note in found.notes)
     robot = export_robot(calibrated, tmp_path)
     base = placement_matrix((*robot.base.origin, *robot.base.rotation))
@@ -208,10 +209,10 @@ def test_a_calibrated_robot_is_what_the_driver_loads(tmp_path):
     turned = [replace(joint, sign=-1) if i == 2 else joint for i, joint in enumerate(known.joints)]
     other = build(replace(known, joints=tuple(turned)), ("geometry",))
     with pytest.raises(cf.InputError, match="six joints that turn about z, and count as the controller does"):
-        export(calibration(other, other.nominal, 1e-12 * np.eye(len(off)), sigma=1e-5), "ur-calibration")
+        export(calibration(other, other.nominal, 1e-12 * np.eye(len(off)), sigma=1e-5), "ur-calibration", EXACT)
 
 
 def export_robot(calibrated: CalibratedModel, folder: Path) -> cf.Robot:
     """The calibrated robot, as its exported robot file has it."""
-    (folder / "calibrated.toml").write_text(export(calibrated, "dh").text, encoding="utf-8")
+    (folder / "calibrated.toml").write_text(export(calibrated, "dh", EXACT).text, encoding="utf-8")
     return cf.Robot.from_toml(folder / "calibrated.toml")
