@@ -263,7 +263,7 @@ def in_space(promised: float, off: float, better: float) -> pd.DataFrame:
 SPEAKS: list[tuple[Rule, Mapping[str, object], int, str]] = [
     (usability.nominal_far_off, summary(spread_mm=40.0), 1, "swapped axes"),
     (usability.not_converged, summary(converged=False, solver=Solver(status="Max_Iter", iterations=500)), 1, "Max_Iter"),
-    (usability.extension_not_converged, diagnosed(converged=False, solver=Solver(status="Max_Iter", iterations=500)), 1,
+    (usability.not_converged, diagnosed(converged=False, solver=Solver(status="Max_Iter", iterations=500)), 1,
      "the model that diagnose extended: its fit did not converge (IPOPT: Max_Iter"),
     (ranked.starts_disagree, summary(starts_agreeing=1), 2, "Only 1 of 3"),
     (ranked.model_lacks, summary(reduced_chi2=9.0), 2, "larger than the instrument's noise explains"),
@@ -503,7 +503,7 @@ def test_every_rule_is_tested() -> None:
         (ranked.model_lacks, {**summary(reduced_chi2=9.0), "diagnose/findings.csv": found("unexplained")}),
         (usability.makes_it_worse, {"diagnose/accuracy.csv": accuracies(holdout=0.061)}),
         (usability.makes_it_worse, {"diagnose/accuracy.csv": accuracies(holdout=0.064), **lost(0.004, 0.005, 0.003)}),
-        (usability.extension_not_converged, diagnosed()),
+        (usability.not_converged, diagnosed()),
         (usability.look_for_reason,  # the robot's own; and noise, which no row is off by
          {"diagnose/findings.csv": to_frame([CAUSE, replace(CAUSE, cause="range-noise", joint=None)], Finding)}),
         (usability.makes_it_worse, {"diagnose/accuracy.csv": accuracies(holdout=None)}),

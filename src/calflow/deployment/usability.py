@@ -28,6 +28,18 @@ NOTED = 0.01  # share of poses without a certain gain above which it is reported
 PARTLY = 0.2  # share of poses without a certain gain from which the verdict says so
 NOTICED = 0.1  # share of the mean error due to noise below which a loss is negligible
 USABLE = "Usable for the poses, tools and loads that were measured"
+STOPPED = {  # by the stage whose fit stopped: what is not to be used, what to do, and the study's settings concerned
+    "identify": (
+        "Do not use these parameters: the fit",
+        "Check the robot file's dimensions and units and the flagged rows, then run again.",
+        "",
+    ),
+    "diagnose": (
+        "Do not use the model that diagnose extended: its fit",
+        "Check the flagged rows and what was found last, or look for fewer causes, then run again.",
+        "stages.diagnose.causes",
+    ),
+}
 EVEN = 0.5  # probability below which the other is likelier: the nominal robot to be nearer, or another name to be right
 
 
@@ -150,18 +162,12 @@ def nominal_far_off(outcome: RunOutcome) -> Iterator[Advice]:
 
 
 def not_converged(outcome: RunOutcome) -> Iterator[Advice]:
-    """A fit that stopped before its optimum must not be used."""
-    yield from _stopped(
-        outcome.summary,
-        "Do not use these parameters: the fit",
-        "Check the robot file's dimensions and units and the flagged rows, then run again.",
-    )
-
-
-def _stopped(summary: FitSummary, what: str, do: str, keys: str = "") -> Iterator[Advice]:
-    """Yield the advice on a fit that stopped before its optimum."""
-    if not summary.converged:
-        yield Advice(1, f"{what} did not converge ({summary.solver.words}). {do}", keys=keys)
+    """A model whose fit stopped before its optimum must not be used, nor the causes named by it."""
+    for stage, (what, do, keys) in STOPPED.items():
+        if (path := f"{stage}/summary.json") in outcome.results:
+            summary = outcome.results.document(path, FitSummary)
+            if not summary.converged:
+                yield Advice(1, f"{what} did not converge ({summary.solver.words}). {do}", keys=keys)
 
 
 def no_better_in_space(outcome: RunOutcome) -> list[Advice]:
@@ -177,17 +183,6 @@ def no_better_in_space(outcome: RunOutcome) -> list[Advice]:
         "the joints all over their ranges. State the lens where it is known, and only there."
     )
     return [Advice(1 if promised.better < EVEN else 2, sentence)]
-
-
-def extension_not_converged(outcome: RunOutcome) -> Iterator[Advice]:
-    """An extended model whose fit stopped before its optimum must not be used, nor the causes named by it."""
-    if "diagnose/summary.json" in outcome.results:
-        yield from _stopped(
-            outcome.diagnosis_summary,
-            "Do not use the model that diagnose extended: its fit",
-            "Check the flagged rows and what was found last, or look for fewer causes, then run again.",
-            "stages.diagnose.causes",
-        )
 
 
 def makes_it_worse(outcome: RunOutcome) -> Iterator[Advice]:
@@ -261,4 +256,4 @@ def labels(causes: Sequence[Finding]) -> list[str]:
 
 
 FIT_RULES: tuple[Rule, ...] = (noise_contradicted, nominal_far_off, not_converged, no_better_in_space)
-CAUSE_RULES: tuple[Rule, ...] = (extension_not_converged, makes_it_worse)
+CAUSE_RULES: tuple[Rule, ...] = (makes_it_worse,)
