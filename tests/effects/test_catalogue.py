@@ -74,6 +74,7 @@ def test_variants_are_distinct_and_told_apart(full: Measurements, name: str) -> 
         "periodic-joint-error",
         "torque-backlash",
         "base-play",
+        "bearing-play",
         "loaded-transmission-error",
         "gravity-compensator",
     ):
@@ -266,7 +267,7 @@ def gearless(data: Measurements) -> Measurements:
 
 
 OF_MASSES = (
-    "joint-compliance", "nonlinear-joint-stiffness", "torque-backlash", "bearing-compliance", "link-bending",
+    "joint-compliance", "nonlinear-joint-stiffness", "torque-backlash", "bearing-compliance", "bearing-play", "link-bending",
     "link-torsion", "base-compliance", "base-play", "gravity-compensator", "payload-mass", "payload-com", "link-mass",
     "friction-wind-up", "base-off-level", "payload-step",
 )  # fmt: skip

@@ -127,6 +127,14 @@ def bearing(joint: int, size: float) -> Callable[[Bench], Twin]:
     return lambda bench: Twin(made(bench, hidden.cause), values, hidden)
 
 
+def bearing_play(bench: Bench) -> Twin:
+    """The simulator's bearing changes its side at once, calflow's over a per cent of the largest rated torque beyond it."""
+    hidden = Hidden("bearing-play", 4, 4e-4)
+    moment = np.linalg.norm(bench.still.moment[:, 3, :2], axis=1)
+    clear = moment > 0.2 * max(bench.rated(joint) for joint in range(4, 7))
+    return Twin(made(bench, "bearing-play"), {"joint4.b": hidden.size}, hidden, clear, close=0.01)
+
+
 def wobble(bench: Bench) -> Twin:
     """An axis that tilts round the housing twice a turn does so once a turn of the link."""
     hidden = Hidden("axis-wobble", 2, 2e-4, seed=4)
@@ -390,6 +398,7 @@ TWINS: dict[str, Callable[[Bench], Twin]] = {
     "axis-wobble": wobble,
     "base-compliance, alike": one("base-compliance", "base.c", Hidden("base-compliance", 0, 1e-8)),
     "base-compliance, by direction": base_by_direction,
+    "bearing-play": bearing_play,
     "base-play": base_play,
     "gravity-compensator": compensator,
     "payload-mass, all": one("payload-mass", "payloads.e", Hidden("payload-mass", 0, 0.2)),

@@ -166,6 +166,13 @@ def bearing_compliance(h: Hidden, robot: Robot, rows: Rows, state: State) -> Mot
     return _motion(robot, rows, "bearing", soft * state.moment[:, h.joint - 1], h.joint - 1)
 
 
+def bearing_play(h: Hidden, robot: Robot, rows: Rows, state: State) -> Motion:
+    """A worn bearing lies, by half the size, against the side to which the moment across its axis presses it."""
+    across = state.moment[:, h.joint - 1] * np.array([1.0, 1.0, 0.0])
+    side = across / np.linalg.norm(across, axis=1, keepdims=True)
+    return _motion(robot, rows, "bearing", h.size / 2 * side, h.joint - 1)
+
+
 def axis_wobble(h: Hidden, robot: Robot, rows: Rows, state: State) -> Motion:
     """An axis that tilts towards a direction which goes round the housing twice a turn, by a bearing of two lobes."""
     towards = h.rng.uniform(0, 2 * np.pi) + 2 * rows.q[:, h.joint - 1]
@@ -316,6 +323,7 @@ ON_MOTION = {
     "joint-compliance": joint_compliance,
     "gravity-deflection": joint_compliance,  # the same spring, where the study does not know the masses
     "bearing-compliance": bearing_compliance,
+    "bearing-play": bearing_play,
     "axis-wobble": axis_wobble,
     "base-compliance": base_compliance,
     "base-play": base_play,

@@ -1,4 +1,4 @@
-"""A foot that rocks on loose bolts is hidden in data of the independent simulator, and `calflow run` has to find it."""
+"""A foot that rocks on loose bolts, or a worn bearing, is hidden in the simulator's data, and `calflow run` has to find it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,15 @@ import pytest
 from hidden.causes import Hidden
 from hidden.test_hidden import case, found, only
 
-ALIKE = only("base-play", "base-compliance", "axis-wobble", "bearing-compliance", "joint-error-map", "link-torsion")
+ALIKE = only(
+    "base-play",
+    "base-compliance",
+    "axis-wobble",
+    "bearing-compliance",
+    "bearing-play",
+    "joint-error-map",
+    "link-torsion",
+)
 LOOSE, SOFT = Hidden("base-play", 0, 4e-4), Hidden("base-compliance", 0, 3e-8, 0.3)
 
 
@@ -18,3 +26,12 @@ def test_a_loose_foot_is_told_from_a_soft_one(robot, hidden, tmp_path):
     assert len(seen.causes) == 1, seen.causes
     assert seen.has(hidden.cause)
     assert seen.unexplained.empty, seen.unexplained
+
+
+@pytest.mark.parametrize("joint", [1, 4])
+def test_a_worn_bearing_is_told_from_a_soft_one_and_from_a_loose_foot(joint, tmp_path):
+    """Fails if a bearing that lies against one side or the other is taken for a foot that rocks, or for several soft bearings."""
+    hidden = Hidden("bearing-play", joint, 4e-4)
+    seen = found(tmp_path, case("serial", hidden, settings=ALIKE), 31)
+    assert len(seen.causes) == 1, seen.causes
+    assert seen.has(hidden.cause, joint)

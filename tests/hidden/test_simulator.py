@@ -40,6 +40,7 @@ USUAL = {
     "gear-ratio-error": (3, 1e-4, ""),
     "wrist-coupling": (0, 2e-4, "65"),
     "bearing-compliance": (2, 1e-7, 0.5),
+    "bearing-play": (4, 2e-4, ""),
     "axis-wobble": (2, 1e-4, ""),
     "link-bending": (2, 1e-7, ""),
     "link-torsion": (2, 1e-7, ""),

@@ -60,5 +60,10 @@ class BearingCompliance(Effect):
 
     def variable(self, joint: int) -> Variable:
         """Return the moment across the joint's axis."""
-        moment = lambda state, row: ca.norm_2(state.bearing[3:5, joint - 1])  # noqa: E731
-        return Variable(f"moment across the axis of joint {joint}", "Nm", moment)
+        return moment_across(joint)
+
+
+def moment_across(joint: int) -> Variable:
+    """Return the moment that a joint's bearing carries across its axis."""
+    moment = lambda state, row: ca.norm_2(state.bearing[3:5, joint - 1])  # noqa: E731
+    return Variable(f"moment across the axis of joint {joint}", "Nm", moment)
