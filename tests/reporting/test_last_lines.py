@@ -11,6 +11,7 @@ from calflow.deployment.run_outcome import RunOutcome
 from calflow.files.tables import Results
 from calflow.reporting.terminal import last_lines
 from reporting.case import BACKLASH, COUPLED, MISFIT, OR_HYSTERESIS, OUTLIERS, context, with_diagnosis
+from reporting.test_advice import in_space
 
 
 @pytest.fixture(scope="module")
@@ -52,6 +53,19 @@ def test_accuracy_goes_on_after_diagnosis(given):
     rows = [line.rsplit(None, 3) for line in lines[1 : 1 + len(results.tables["diagnose/accuracy.csv"])]]
     assert [row[0].strip() for row in rows if row[1] == "holdout"][-1] == "+ backlash of joint 2"
     assert [float(row[2]) for row in rows] == [round(v, 3) for v in results.tables["diagnose/accuracy.csv"]["mean_mm"]]
+
+
+def test_errors_in_space_are_not_told_as_if_the_board_were_known(given):
+    """Fails if a board printed too large, which no image shows, makes the tool certain to a tenth of what it is off by."""
+    results = with_diagnosis(given).results
+    by_images = {
+        name: {**said, "new_poses_mm": None}
+        for name, said in results.documents.items()
+        if name.endswith("/summary.json")
+    }
+    for documents, told in (({}, False), (by_images, True)):  # lengths that were measured show the size
+        of_space = Results({"identify/in_space.csv": in_space(0.2, 0.3, 0.9)}, documents)
+        assert any("if the board is" in line for line in last_lines(RunOutcome(results | of_space))) == told
 
 
 def test_nothing_found_is_said(given):

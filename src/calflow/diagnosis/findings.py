@@ -417,7 +417,7 @@ def _cause(verdict: Verdict, fitted: Fitted, left: UnexplainedStructure | None, 
     size = Amplitude.of_squares(*curve.rms_over_travel) if curve else found_amplitude(verdict, fitted)
     others = list(dict.fromkeys(rival.id for rival in verdict.others))
     if left:
-        same = _relatives(cause) if is_any_error_along(cause, left.inputs) else [UNEXPLAINED]
+        same = _relatives(cause) if _is_of_its_curve(left, cause) else [UNEXPLAINED]
         others += [name for name in same if name not in others]
     doubts = (NOT_CARRIED if carries_over is False else "") + ("" if deployed else NOT_DEPLOYED)
     return Finding(
@@ -433,6 +433,11 @@ def _cause(verdict: Verdict, fitted: Fitted, left: UnexplainedStructure | None, 
     )  # fmt: skip
 
 
+def _is_of_its_curve(left: UnexplainedStructure, cause: Cause) -> bool:
+    """Whether a part of what is left is a curve of the cause's own input alone: more of the cause's family explains that."""
+    return is_any_error_along(cause, left.inputs if left.inputs[0] == POSE else left.along)
+
+
 def _detail(verdict: Verdict) -> str:
     """Return the variant in words, with other parts at the same joint where the effect explains the data as well."""
     cause = verdict.cause
@@ -443,7 +448,7 @@ def _detail(verdict: Verdict) -> str:
 def _statement(verdict: Verdict, left: UnexplainedStructure | None) -> str:
     cause, where = verdict.cause, _where(verdict.cause)
     detail = f" ({_detail(verdict)})" if _detail(verdict) else ""
-    if left and is_any_error_along(cause, left.inputs):
+    if left and _is_of_its_curve(left, cause):
         return f"{cause.effect.family}{where}: form not resolved, more is left than {cause.title}{detail} explains"
     if left:
         return f"{cause.title}{where}{detail}, or what stays unexplained ({' and '.join(left.inputs)})"

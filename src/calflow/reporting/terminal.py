@@ -10,19 +10,23 @@ from calflow.deployment.usability import judgement
 from calflow.design.next_poses import MeasuringVerdict, Suspect
 from calflow.diagnosis.findings import Finding
 from calflow.files.words import capped, mm, number, plural, sureness
-from calflow.reporting.advice import WRONG, advice
+from calflow.reporting.advice import WRONG, advice, size_is_assumed
 from calflow.reporting.sections.causes import gain_words, shows_gain
 from calflow.reporting.sections.verdict import headline, named_steps, verdict_section
 
 SUSPECTS_LISTED, UNTESTED_LISTED = 4, 6
 HOPELESS = 0.5  # best probability below which more poses of the same kind are not worthwhile
+SIZE_ASSUMED = (
+    "in space, if the board is as large as its points say: no image shows that, and all lengths are as wrong as it is"
+)
 MEASURES = {"rms": "RMS error", "worst": "worst point"}
 
 
 def last_lines(outcome: RunOutcome) -> list[str]:
     """Return accuracy, findings, verdict and problems, as far as there are results."""
     wrong = [f"! {item.whole}" for item in advice(outcome) if item.urgency <= WRONG]
-    return [*_accuracy(outcome), *space_words(outcome.in_space), *_findings(outcome), *_verdict(outcome), *wrong]
+    space = [*space_words(outcome.in_space), *([SIZE_ASSUMED] if size_is_assumed(outcome) else [])]
+    return [*_accuracy(outcome), *space, *_findings(outcome), *_verdict(outcome), *wrong]
 
 
 def _accuracy(outcome: RunOutcome) -> list[str]:
