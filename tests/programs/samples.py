@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from calflow import Joint, Marker, Robot, dh
 from calflow.programs import correction
 from calflow.programs.aims import FilterSettings
 from calflow.programs.calibrated_robot import Axes, CorrectedReadings
@@ -226,6 +227,9 @@ FILES = {
 }
 
 
+SIX = Robot((Joint(dh(d=0.1), limits=(-3.0, 3.0)),) * 6, markers={"tool": Marker((0.0, 0.0, 0.0))})
+
+
 @dataclass(frozen=True)
 class Hand:
     """A hand that goes anywhere: its joint readings are its place [m] and its rotation vector [rad], and each is off by a shift."""
@@ -234,8 +238,8 @@ class Hand:
 
     @property
     def axes(self) -> Axes:
-        """Six, and nothing else."""
-        return Axes(6, tuple(range(6)), {}, {})
+        """Six with limits, and nothing else."""
+        return Axes(SIX)
 
     def flange(self, readings: np.ndarray) -> np.ndarray:
         """Transforms of readings."""

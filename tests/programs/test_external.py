@@ -15,7 +15,7 @@ from calflow.programs.formats import parsed
 from calflow.programs.target import External, RapidConfiguration
 from calflow.robot.frames import modified_dh
 from calflow.robot.parts import Joint
-from programs.samples import FILES, Hand, filtered
+from programs.samples import FILES, SIX, Hand, filtered
 from programs.test_calibrated_robot import NUMBERS, TOOL, calibrated, inverted, truly, usual
 from robots import industrial
 
@@ -133,7 +133,10 @@ def test_zeros_of_external_axes_are_not_told():
 
 def test_an_axis_in_another_unit_than_the_robots_is_left_alone():
     """Fails if degrees of a table move a rail by millimetres."""
-    axes = Axes(7, tuple(range(1, 7)), {1: 0}, {1: "deg"})
+    turning, sliding = (
+        Axes(replace(SIX, joints=(Joint(modified_dh(), kind=kind, limits=(-3, 3), external=1), *SIX.joints)))
+        for kind in ("revolute", "prismatic")
+    )
     read = parsed(FILES["weld.ls"][0].encode(), Path("weld.ls"))
-    assert axes.external_problem(read.targets[0]) == "gives external axis 1 in mm, which by the robot file is in deg"
-    assert Axes(7, tuple(range(1, 7)), {1: 0}, {1: "mm"}).external_readings(read.targets[0])[0] == pytest.approx(0.012)
+    assert turning.external_problem(read.targets[0]) == "gives external axis 1 in mm, which by the robot file is in deg"
+    assert sliding.external_readings(read.targets[0])[0] == pytest.approx(0.012)

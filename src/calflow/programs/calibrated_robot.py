@@ -6,7 +6,7 @@ the posture (shoulder, elbow, wrist) of a six-joint arm from the nominal joint a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
@@ -20,6 +20,7 @@ from calflow.deployment.prediction import Missing, as_stated
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.noise import members
 from calflow.files.problems import refuse
+from calflow.files.units import in_si
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, SymbolicPrediction
 from calflow.programs.target import ArmPosture, Reason, Target
@@ -27,7 +28,6 @@ from calflow.robot.frames import placement_matrix
 from calflow.robot.mechanism import nominal_posture
 from calflow.robot.robot import Robot
 
-SCALES = {"mm": 1e-3, "deg": np.pi / 180}
 TURNING = (0, 3, 5)  # joints of an arm, from 0, whose turns configurations count
 MEETING = 1e-3  # m: distance below which axes count as meeting in a point
 FREE = 6  # joints needed to correct position and orientation
@@ -37,59 +37,57 @@ LARGEST_CHANGE = np.deg2rad(10.0)  # a correction that turns a joint further sho
 
 @dataclass(frozen=True)
 class Axes:
-    """The robot's joints as programs state them; number: the number of joints of the robot.
+    """A robot's joints (from 0) as programs state them: those of the arm in order, and external axes by their numbers."""
 
-    arm: the arm's joints (from 0) in the order of programs; external: the joint of each external axis, by its number
-    from 1; units: the unit of its values in programs, deg or mm; endless: joints without limits.
-    """
+    robot: Robot
 
-    number: int
-    arm: tuple[int, ...]
-    external: Mapping[int, int]
-    units: Mapping[int, str]
-    endless: tuple[int, ...] = ()
+    @cached_property
+    def arm(self) -> list[int]:
+        """The arm's joints."""
+        return self.robot.arm
 
-    @staticmethod
-    def of(robot: Robot) -> Axes:
-        """Return the axes of a robot."""
-        external = {robot.joints[i].external or 0: i for i in robot.external}
-        external = dict(sorted(external.items()))
-        endless = tuple(i for i in robot.arm if np.isinf(robot.stops[i]).all())
-        units = {k: robot.joints[i].shown[0] for k, i in external.items()}
-        return Axes(robot.n_joints, tuple(robot.arm), external, units, endless)
+    @cached_property
+    def external(self) -> dict[int, int]:
+        """The joint of each external axis, by its number from 1."""
+        return dict(sorted((self.robot.joints[i].external or 0, i) for i in self.robot.external))
+
+    @cached_property
+    def _endless(self) -> np.ndarray:
+        """Which joints are the arm's and have no limits (n_joints,)."""
+        arm = np.isin(np.arange(self.robot.n_joints), self.arm)
+        return np.asarray(arm & np.isinf(self.robot.stops).all(axis=1))
 
     def with_turns(self, ways: np.ndarray) -> np.ndarray:
         """Return solutions (n, n_joints), also a turn further of endless joints whose turns configurations count."""
-        for joint in (self.arm[k] for k in TURNING if k < len(self.arm) and self.arm[k] in self.endless):
-            ways = np.concatenate([ways + 2 * np.pi * turn * np.eye(self.number)[joint] for turn in (0, -1, 1)])
+        for joint in (self.arm[k] for k in TURNING if k < len(self.arm) and self._endless[self.arm[k]]):
+            ways = np.concatenate([ways + 2 * np.pi * turn * np.eye(len(self._endless))[joint] for turn in (0, -1, 1)])
         return ways
 
     def turned_near(self, ways: np.ndarray, near: np.ndarray) -> np.ndarray:
         """Return solutions (n, n_joints), endless joints turned by whole turns nearest to readings (n_joints,)."""
-        endless = np.isin(np.arange(self.number), self.endless)
-        return np.asarray(ways + 2 * np.pi * np.round((near - ways) / (2 * np.pi)) * endless)
+        return np.asarray(ways + 2 * np.pi * np.round((near - ways) / (2 * np.pi)) * self._endless)
 
     def external_problem(self, target: Target) -> str:
         """Return which external axis a target leaves undetermined, in words; empty if none."""
-        for number, unit in self.units.items():
+        for number, joint in self.external.items():
             if number not in target.external:
                 return f"gives no value of external axis {number}, which the robot file has"
-            axis_unit = target.external[number].unit
-            if axis_unit not in ("", unit):
-                return f"gives external axis {number} in {axis_unit}, which by the robot file is in {unit}"
+            stated, unit = target.external[number].unit, self.robot.joints[joint].shown[0]
+            if stated not in ("", unit):
+                return f"gives external axis {number} in {stated}, which by the robot file is in {unit}"
         return ""
 
     def external_readings(self, target: Target) -> np.ndarray:
         """Return readings (n_joints,) [rad or m] with the external axes of a target, and zero for the arm."""
-        values = np.zeros(self.number)
+        values = np.zeros(self.robot.n_joints)
         for number, joint in self.external.items():
-            values[joint] = target.external[number].value * SCALES[self.units[number]]
+            values[joint] = in_si(self.robot.joints[joint].shown[0], target.external[number].value)
         return values
 
     def readings(self, target: Target, arm: Sequence[float] | np.ndarray) -> np.ndarray:
         """Return readings (n_joints,) of the arm's readings (n,) and the external axes of a target."""
         values = self.external_readings(target)
-        values[list(self.arm)] = arm
+        values[self.arm] = arm
         return values
 
     def unknown_axes_note(self, targets: Iterable[Target]) -> tuple[str, ...]:
@@ -219,7 +217,7 @@ class CalibratedRobot:
     @cached_property
     def axes(self) -> Axes:
         """The joints of the arm and the external axes."""
-        return Axes.of(self.robot)
+        return Axes(self.robot)
 
     def flange(self, readings: np.ndarray) -> np.ndarray:
         """Return the flange poses (n, 4, 4) of the controller's forward kinematics at readings (n, n_joints)."""

@@ -177,7 +177,7 @@ def _corrected(
         pose = np.linalg.inv(aim.frame) @ after[k] @ aim.tool
         if aim.target.turn:
             poses[aim.key] = pose
-        written, flags = _written(aim.target, new[list(corrector.axes.arm)], pose, postures[k])
+        written, flags = _written(aim.target, new[corrector.axes.arm], pose, postures[k])
         edits[aim.key] = [*written, *to_flags(flags)]
         changed = "; ".join(f"{flag.text} > {text}" for flag, text in flags)
         sides = FROM_SIDES.format(beside) if beside > 1e3 * PLACE_STEP else ""

@@ -107,7 +107,7 @@ def _in_sequence(
         if k and aim.file != aims[k - 1].file:
             last = start
         axes = corrector.axes
-        before.append(None if last is None else axes.readings(aim.target, last[list(axes.arm)]))
+        before.append(None if last is None else axes.readings(aim.target, last[axes.arm]))
         resolved.append(_chosen(aim, options[k], before[-1]) if k in options else aim)
         readings = resolved[-1].readings
         last = readings if readings is not None else before[-1]

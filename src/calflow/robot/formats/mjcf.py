@@ -104,58 +104,56 @@ def urdf_of_mjcf(path: Path) -> str:
     except ValueError as error:
         raise refuse(f"MuJoCo cannot read it: {' '.join(str(error).split())}", path) from None
     robot = ElementTree.Element("robot", name=path.stem)
-    names = _Names(model)
+    names = _names(model)
     for body in range(model.nbody):
         _body(robot, model, names, body)
     for site in range(model.nsite):
         at = _transform(model.site_pos[site], model.site_quat[site])
-        name = names.of("site", site)
+        name = names["site", site]
         urdf_link(robot, name)
-        urdf_joint(robot, f"{name}-site", "fixed", names.of("body", int(model.site_bodyid[site])), name, at)
+        urdf_joint(robot, f"{name}-site", "fixed", names["body", int(model.site_bodyid[site])], name, at)
     for follower, leader, multiplier, offset in _followers(model):
-        made = next(element for element in robot.iter("joint") if element.get("name") == names.of("joint", follower))
-        mimic = {"joint": names.of("joint", leader), "multiplier": repr(multiplier), "offset": repr(offset)}
+        made = next(element for element in robot.iter("joint") if element.get("name") == names["joint", follower])
+        mimic = {"joint": names["joint", leader], "multiplier": repr(multiplier), "offset": repr(offset)}
         ElementTree.SubElement(made, "mimic", mimic)
     return xml_text(robot)
 
 
-class _Names:
-    """The names of a model's things, as URDF needs them: each has one, and no two links the same."""
-
-    def __init__(self, model: Any) -> None:
-        self._names: dict[tuple[str, int], str] = {}
-        taken: set[str] = set()
-        for kind, number in (("body", model.nbody), ("site", model.nsite), ("joint", model.njnt)):
-            names_in_use = set() if kind == "joint" else taken
-            for k in range(number):
-                name = getattr(model, kind)(k).name or f"{kind}{k}"
-                while name in names_in_use:
-                    name = f"{name}_{kind}"
-                names_in_use.add(name)
-                self._names[kind, k] = name
-
-    def of(self, kind: str, number: int) -> str:
-        """Return the name of a body, site or joint."""
-        return self._names[kind, number]
+Names = dict[tuple[str, int], str]  # of a model's things, by kind and number
 
 
-def _body(robot: ElementTree.Element, model: Any, names: _Names, body: int) -> None:
+def _names(model: Any) -> Names:
+    """The names of bodies, sites and joints as URDF needs them: each has one, and no two links the same."""
+    names: Names = {}
+    links, joints = set[str](), set[str]()
+    for kind, number in {"body": model.nbody, "site": model.nsite, "joint": model.njnt}.items():
+        taken = joints if kind == "joint" else links
+        for k in range(number):
+            name = getattr(model, kind)(k).name or f"{kind}{k}"
+            while name in taken:
+                name = f"{name}_{kind}"
+            taken.add(name)
+            names[kind, k] = name
+    return names
+
+
+def _body(robot: ElementTree.Element, model: Any, names: Names, body: int) -> None:
     """A body's link, with what it hangs by."""
-    link = urdf_link(robot, names.of("body", body))
+    link = urdf_link(robot, names["body", body])
     if model.body_mass[body] > 0:
         urdf_mass(link, model.body_mass[body], model.body_ipos[body])
     if body == 0:
         return
-    at, on = _transform(model.body_pos[body], model.body_quat[body]), names.of("body", int(model.body_parentid[body]))
+    at, on = _transform(model.body_pos[body], model.body_quat[body]), names["body", int(model.body_parentid[body])]
     first, number = int(model.body_jntadr[body]), int(model.body_jntnum[body])
     for joint in range(first, first + number):
         anchor = shift(model.jnt_pos[joint])
         centred = joint == first + number - 1 and not model.jnt_pos[joint].any()
-        child = names.of("body", body) if centred else f"{names.of('joint', joint)}_moved"
+        child = names["body", body] if centred else f"{names['joint', joint]}_moved"
         if not centred:
             urdf_link(robot, child)
         made = urdf_joint(
-            robot, names.of("joint", joint), _kind(model, joint), on, child, at @ anchor @ _unturned(model, joint)
+            robot, names["joint", joint], _kind(model, joint), on, child, at @ anchor @ _unturned(model, joint)
         )
         if made.get("type") != "floating":
             ElementTree.SubElement(made, "axis", xyz=figures_text(model.jnt_axis[joint]))
@@ -165,7 +163,7 @@ def _body(robot: ElementTree.Element, model: Any, names: _Names, body: int) -> N
         if centred:
             return
         at, on = np.linalg.inv(anchor), child
-    urdf_joint(robot, f"{names.of('body', body)}-fixed", "fixed", on, names.of("body", body), at)
+    urdf_joint(robot, f"{names['body', body]}-fixed", "fixed", on, names["body", body], at)
 
 
 def _kind(model: Any, joint: int) -> str:
