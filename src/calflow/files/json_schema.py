@@ -9,8 +9,8 @@ from pydantic import TypeAdapter
 from pydantic.json_schema import GenerateJsonSchema
 from pydantic_core import core_schema
 
-from calflow.files.toml import FileModel, Record, dimensions
-from calflow.files.units import KEY_SUFFIXES, to_si
+from calflow.files.toml import FileModel, Record, keys_of
+from calflow.files.units import to_si
 
 Schema = dict[str, Any]
 BOUNDS = ("minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum")
@@ -41,25 +41,19 @@ class FileSchema(GenerateJsonSchema):
 def _with_units(made: Schema, kind: type[Any]) -> Schema:
     if not issubclass(kind, FileModel | Record) or "properties" not in made:
         return made
-    units, required = dimensions(kind), made.pop("required", [])
+    required = made.pop("required", [])
     properties: Schema = {}
     needed: list[Schema] = []
+    always: list[str] = []
     for name, quantity in made["properties"].items():
-        dimension = units.get(name)
-        keys = [f"{name}_{unit}" for unit in KEY_SUFFIXES[dimension]] if dimension else [name]
-        properties |= {
-            key: _in_unit(quantity, unit)
-            for key, unit in zip(keys, KEY_SUFFIXES[dimension] if dimension else ("",), strict=True)
-        }
-        if name in required and dimension:
+        keys = keys_of(kind)[name]
+        properties |= {key: _in_unit(quantity, unit) for key, unit in keys.items()}
+        if name in required and name in keys:
+            always.append(name)
+        elif name in required:
             needed.append({"oneOf": [{"required": [key]} for key in keys]})
-    always = [name for name in required if not units.get(name)]
-    return (
-        made
-        | {"properties": properties}
-        | ({"required": always} if always else {})
-        | ({"allOf": needed} if needed else {})
-    )
+    stated = {"properties": properties, "required": always, "allOf": needed}
+    return made | {key: value for key, value in stated.items() if value}
 
 
 def json_schema(kind: Any, title: str) -> Schema:

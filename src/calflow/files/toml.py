@@ -12,6 +12,7 @@ import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields, replace
 from functools import cache, wraps
+from itertools import chain
 from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
@@ -242,6 +243,14 @@ def _annotations(kind: type[BaseModel | Record]) -> dict[str, Any]:
     return {field.name: hints[field.name] for field in fields(kind)}
 
 
+def keys_of(kind: type[FileModel | Record]) -> dict[str, dict[str, str]]:
+    """Return the keys by which a table may state each field of a file model or record, and the unit of each key."""
+    return {
+        name: {f"{name}_{unit}": unit for unit in KEY_SUFFIXES[dimension]} if dimension else {name: ""}
+        for name, dimension in dimensions(kind).items()
+    }
+
+
 def defaults(kind: type[FileModel | Record]) -> dict[str, Any]:
     """Return the default value of each field of a file model or record; MISSING where it must be stated."""
     if issubclass(kind, FileModel):
@@ -259,27 +268,28 @@ def _in_si(kind: type[FileModel | Record], raw: Any) -> Any:
     """The table with its quantities in SI under the names of their fields, such as `a = 0.005` for `a_mm = 5`."""
     if not isinstance(raw, dict):
         return raw
+    keys = keys_of(kind)
     converted: dict[str, Any] = {}
     for key, value in raw.items():
-        name, unit = (key, "") if key in dimensions(kind) else split_unit(key) or (key, "")
+        name, unit = (key, "") if key in keys else split_unit(key) or (key, "")
         dimension = dimensions(kind).get(name)
-        if dimension is None:
-            known = key in dimensions(kind)
-            converted[key] = as_tuples(value) if known else _Wrong(f"unknown key{nearest(key, _known_keys(kind))}", key)
+        if dimension is None and key in keys:
+            converted[key] = as_tuples(value)
+        elif dimension is None:
+            converted[key] = _Wrong(f"unknown key{nearest(key, chain(*keys.values()))}", key)
         elif name in converted:
             converted[name] = _Wrong(f"'{name}' is given twice, in different units", key)
         elif not unit:
-            converted[name] = _Wrong(f"needs its unit in the key: {_spellings(name, dimension)}", key)
-        elif unit not in KEY_SUFFIXES[dimension]:
-            converted[name] = _Wrong(f"expected a unit of {dimension}: {_spellings(name, dimension)}", key)
+            converted[name] = _Wrong(f"needs its unit in the key: {' or '.join(keys[name])}", key)
+        elif key not in keys[name]:
+            converted[name] = _Wrong(f"expected a unit of {dimension}: {' or '.join(keys[name])}", key)
         else:
             converted[name] = _convert(value, unit)
             if dimension == MEASURED:
                 converted[f"{name}_unit"] = unit
     for name, default in defaults(kind).items():
-        dimension = dimensions(kind)[name]
-        if dimension and default is MISSING and name not in converted:
-            converted[name] = _Wrong(f"missing: expected {_spellings(name, dimension)}")
+        if default is MISSING and name not in converted and dimensions(kind)[name]:
+            converted[name] = _Wrong(f"missing: expected {' or '.join(keys[name])}")
     return converted
 
 
@@ -517,19 +527,6 @@ def _dimension(annotation: Any) -> str | None:
     """The dimension in an annotation, or in one of its members, as of an optional quantity."""
     of = (str(item) for item in getattr(annotation, "__metadata__", ()) if isinstance(item, Unit))
     return next(of, None) or next(filter(None, map(_dimension, get_args(annotation))), None)
-
-
-def _known_keys(kind: type[FileModel | Record]) -> list[str]:
-    """The keys that a table may have, each quantity in all its units."""
-    return [
-        f"{name}_{unit}" if unit else name
-        for name, dimension in dimensions(kind).items()
-        for unit in (KEY_SUFFIXES[dimension] if dimension else ("",))
-    ]
-
-
-def _spellings(name: str, dimension: str) -> str:
-    return " or ".join(f"{name}_{suffix}" for suffix in KEY_SUFFIXES[dimension])
 
 
 def _plain(value: Any) -> Any:

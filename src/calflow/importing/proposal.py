@@ -43,12 +43,7 @@ class ImportProposal:
     notes: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class _Imported:
-    """Columns of the measurements, with values of all rows, that have one origin."""
-
-    columns: Mapping[str, object]
-    origin: ColumnOrigin
+Imported = tuple[ColumnOrigin, Mapping[str, object]]  # columns that have one origin, with the values of all rows
 
 
 def propose_import(
@@ -190,13 +185,13 @@ def _proposed(joined: Joined, robot: Robot, stated: Mapping[str, str], sigma_rot
     notes += _doubts(joined, robot, choice, marker)
     if joined.roles.turns:
         parts += _orientations(joined, readings, complete, flange, sigma_rotation, notes)
-    origins = tuple(part.origin for part in parts)
+    origins = tuple(origin for origin, _ in parts)
     notes += _left_out(joined, {origin.theirs for origin in origins})
-    columns = {name: values for part in parts for name, values in part.columns.items()}
+    columns = {name: values for _, part in parts for name, values in part.items()}
     return ImportProposal(pd.DataFrame(columns)[complete].reset_index(drop=True), origins, tuple(notes))
 
 
-def _labels(joined: Joined, robot: Robot, markers: list[str] | None) -> Iterator[_Imported]:
+def _labels(joined: Joined, robot: Robot, markers: list[str] | None) -> Iterator[Imported]:
     """The marker and the payload of each row, where columns state them."""
     columns = {name: joined.columns[k] for name, k in joined.roles.labels.items()}
     payloads = {name.lower(): name for name in robot.payloads}
@@ -205,23 +200,23 @@ def _labels(joined: Joined, robot: Robot, markers: list[str] | None) -> Iterator
         values["payload"] = [payloads[str(cell).lower()] if cell else "" for cell in columns["payload"].cells]
     for name, labels in values.items():
         origin = ColumnOrigin(name, columns[name].title, "as it is", "it holds the robot file's names")
-        yield _Imported({name: labels}, origin)
+        yield origin, {name: labels}
 
 
-def _conditions(joined: Joined) -> Iterator[_Imported]:
+def _conditions(joined: Joined) -> Iterator[Imported]:
     """The time and the temperature of each row, where columns state them."""
     if joined.roles.time is not None:
         clock = joined.columns[joined.roles.time]
         time = np.round(seconds(clock) - np.nanmin(seconds(clock)), 6)
         reason = "its name" if clock.name else "it only grows"
-        yield _Imported({"time_s": time}, ColumnOrigin("time_s", clock.title, "s since the first row", reason))
+        yield ColumnOrigin("time_s", clock.title, "s since the first row", reason), {"time_s": time}
     if joined.roles.temperature is not None:
         warm = joined.columns[joined.roles.temperature]
         origin = ColumnOrigin("temperature", warm.title, "as it is", "its name and unit")
-        yield _Imported({f"temperature_{'K' if warm.unit == 'K' else 'degC'}": warm.figures}, origin)
+        yield origin, {f"temperature_{'K' if warm.unit == 'K' else 'degC'}": warm.figures}
 
 
-def _joints(joined: Joined, robot: Robot, taken: FittedReading, readings: np.ndarray) -> Iterator[_Imported]:
+def _joints(joined: Joined, robot: Robot, taken: FittedReading, readings: np.ndarray) -> Iterator[Imported]:
     """The readings (n_rows, n) [rad or m] of the driven joints."""
     named, chosen = joined.roles.joints, taken.hypothesis
     first = "stated" if ("stated",) in named else "its name" if named else "by the robot's kinematics"
@@ -236,10 +231,10 @@ def _joints(joined: Joined, robot: Robot, taken: FittedReading, readings: np.nda
             reason = f"{first}; the nominal robot is then {rounded(1e3 * taken.error, 2)} mm off (median)"
         name, theirs = f"q{i + 1}_{shown}", joined.columns[chosen.columns[k]].title
         origin = ColumnOrigin(name, theirs, ", ".join(changed) or "as it is", reason)
-        yield _Imported({name: readings[:, k] * factor}, origin)
+        yield origin, {name: readings[:, k] * factor}
 
 
-def _point(joined: Joined, choice: Choice, position: np.ndarray) -> Iterator[_Imported]:
+def _point(joined: Joined, choice: Choice, position: np.ndarray) -> Iterator[Imported]:
     """The coordinates of the measured point (n_rows, 3) [m]."""
     named = joined.roles.points and choice.group != ONLY
     why = "stated" if choice.group == ("stated",) else "its name" if named else "the only three that fit"
@@ -247,7 +242,7 @@ def _point(joined: Joined, choice: Choice, position: np.ndarray) -> Iterator[_Im
         column, name = joined.columns[k], f"{axis}_mm"
         reason = why if column.unit else f"{why}, unit by the robot's size"
         how = "as it is" if choice.unit == "mm" else f"from {choice.unit}"
-        yield _Imported({name: 1e3 * values}, ColumnOrigin(name, column.title, how, reason))
+        yield ColumnOrigin(name, column.title, how, reason), {name: 1e3 * values}
 
 
 def _doubts(joined: Joined, robot: Robot, choice: Choice, name: str) -> Iterator[str]:
@@ -280,7 +275,7 @@ def _left_out(joined: Joined, taken: Collection[str]) -> list[str]:
 
 def _orientations(
     joined: Joined, readings: np.ndarray, good: np.ndarray, flange: FlangeKinematics, sigma: float | None, notes: list[str]
-) -> list[_Imported]:  # fmt: skip
+) -> list[Imported]:  # fmt: skip
     """The columns of measured orientations if convention, tool and standard deviation are known, else a note."""
     members = next(iter(joined.roles.turns.values()))
     rows = tuple(replace(column, figures=column.figures[good]) for column in joined.columns)
@@ -304,9 +299,7 @@ def _orientations(
     )
     stated = ColumnOrigin("sigma_rotation_mrad", "", f"{1e3 * sigma:g}", "stated")
     quaternion = dict(zip(("qw", "qx", "qy", "qz"), parts.T, strict=True))
-    return [
-        _Imported(quaternion, origin), _Imported({"sigma_rotation_mrad": np.full(len(good), 1e3 * sigma)}, stated)
-    ]  # fmt: skip
+    return [(origin, quaternion), (stated, {"sigma_rotation_mrad": np.full(len(good), 1e3 * sigma)})]
 
 
 def _from_unit(factor: float, shown: str) -> list[str]:
@@ -318,7 +311,7 @@ def _from_unit(factor: float, shown: str) -> list[str]:
     return [] if unit == shown else [f"from {unit}"]
 
 
-def _poses(joined: Joined, readings: np.ndarray, complete: np.ndarray) -> _Imported:
+def _poses(joined: Joined, readings: np.ndarray, complete: np.ndarray) -> Imported:
     """The pose of each row: from a column that agrees with the readings, else by groups of nearly equal readings.
 
     complete: which rows are imported.
@@ -330,11 +323,11 @@ def _poses(joined: Joined, readings: np.ndarray, complete: np.ndarray) -> _Impor
         pairs = set(zip(names, numbers, strict=True))
         if all(names) and len(pairs) == len(set(names)) == len(set(numbers)):
             origin = ColumnOrigin("pose", column.title, "as it is", "its name, and rows of one have equal joints")
-            return _Imported({"pose": names}, origin)
+            return origin, {"pose": names}
     origin = ColumnOrigin(
         "pose", "", "numbered", f"rows of equal joints are one pose: {len(set(np.array(numbers)[complete]))}"
     )
-    return _Imported({"pose": [str(k) for k in numbers]}, origin)
+    return origin, {"pose": [str(k) for k in numbers]}
 
 
 def _clusters(readings: np.ndarray) -> list[int]:
