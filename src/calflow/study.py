@@ -489,13 +489,13 @@ class Study:
     def settings(self, stage: str) -> dict[str, Any]:
         """Return a stage's settings: the workflow's, overridden by the study's, also where these have other units."""
         settings = self.file.stages.get(stage, {})
-        given = {_without_unit(key) for key in settings}
+        given = {split_unit(key)[0] for key in settings}
         base = self.workflow.settings.get(stage, {})
-        return {key: value for key, value in base.items() if _without_unit(key) not in given} | settings
+        return {key: value for key, value in base.items() if split_unit(key)[0] not in given} | settings
 
     def setting_problem(self, stage: str, message: str, setting: str, *further: str) -> Problem:
         """Return a problem located at a stage's setting in the study or workflow file."""
-        if setting in map(_without_unit, self.file.stages.get(stage, {})):
+        if setting in {split_unit(key)[0] for key in self.file.stages.get(stage, {})}:
             return Origin.of(self.path, "stages", stage).problem(message, setting, *further)
         return Origin.of(self.workflow_path, "settings", stage).problem(message, setting, *further)
 
@@ -505,7 +505,7 @@ class Study:
         stated = self.file.stages.get(stage, {})
         here = Origin.of(self.path, "stages", stage) if stated else there
         settings = self.settings(stage)
-        elsewhere = {name: there for key in settings if key not in stated for name in (key, _without_unit(key))}
+        elsewhere = {name: there for key in settings if key not in stated for name in (key, split_unit(key)[0])}
         return validate_table(settings, kind, here, elsewhere)
 
 
@@ -590,10 +590,6 @@ def _not_located(file: StudyFile, folder: Path) -> tuple[Problem, ...]:
     except InputError as error:
         return error.problems
     return ()
-
-
-def _without_unit(key: str) -> str:
-    return (split_unit(key) or (key, ""))[0]
 
 
 def workflow_folder() -> Path:

@@ -154,6 +154,7 @@ def test_what_is_not_known_is_asked_for(cell):
         (("--start", "nan,1,2"), "expected finite readings"),
         (("--condition", "temperature_degC=nan"), "--condition temperature_degC: expected a finite number"),
         (("--condition", "temperature=20"), "expected one of temperature_degC"),
+        (("--condition", "time_mm=20"), "expected one of temperature_degC"),
         (("--out", cell / "points.ls"), "would write over"),
         (("--summary", cell / "points.ls"), "would write over"),
         (("--summary", cell / "points.corrected.ls"), "would write over"),

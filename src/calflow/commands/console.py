@@ -104,9 +104,7 @@ class ArgumentCommand(click.Command):
         from calflow.files.units import split_unit
 
         return {
-            (split_unit(param.name or "") or (param.name or "",))[0]: param.opts[0]
-            for param in self.params
-            if isinstance(param, click.Option)
+            split_unit(param.name or "")[0]: param.opts[0] for param in self.params if isinstance(param, click.Option)
         }
 
 

@@ -271,7 +271,7 @@ def _in_si(kind: type[FileModel | Record], raw: Any) -> Any:
     keys = keys_of(kind)
     converted: dict[str, Any] = {}
     for key, value in raw.items():
-        name, unit = (key, "") if key in keys else split_unit(key) or (key, "")
+        name, unit = (key, "") if key in keys else split_unit(key)
         dimension = dimensions(kind).get(name)
         if dimension is None and key in keys:
             converted[key] = as_tuples(value)
@@ -296,15 +296,12 @@ def _in_si(kind: type[FileModel | Record], raw: Any) -> Any:
 def _within_what_robots_have(kind: type[FileModel | Record], value: Any, info: ValidationInfo) -> Any:
     """Refuse magnitudes that no robot has, whose squares might overflow."""
     name = info.field_name or ""
-    dimension = dimensions(kind).get(name)
-    if dimension is None and (split := split_unit(name)):  # a field that keeps the unit of its key
-        unit = split[1]
-        dimension = next(dimension for dimension, units in KEY_SUFFIXES.items() if unit in units)
-    else:
-        unit = KEY_SUFFIXES[dimension][0] if dimension else ""
+    stated = dimensions(kind).get(name)
+    unit = "" if stated else split_unit(name)[1]  # of a field that keeps the unit of its key
+    dimension = stated or next((of for of, units in KEY_SUFFIXES.items() if unit in units), "")
     factor = to_si(unit)[0] if unit else 1.0
-    if any(abs(factor * number) > LARGEST[dimension or ""] for number in _numbers(value)):
-        most = f"{LARGEST[dimension or '']:g}{f' {KEY_SUFFIXES[dimension][0]}' if dimension else ''}"
+    if any(abs(factor * number) > LARGEST[dimension] for number in _numbers(value)):
+        most = f"{LARGEST[dimension]:g}{f' {KEY_SUFFIXES[dimension][0]}' if dimension else ''}"
         raise PydanticCustomError("beyond", "expected at most {most}", {"most": most})
     return value
 
@@ -598,7 +595,7 @@ def _written(raw: Any, location: tuple[Any, ...]) -> tuple[Any, ...]:
     written: list[Any] = []
     for part in location:
         if isinstance(raw, dict) and part not in raw:
-            part = next((key for key in raw if (split_unit(key) or ("",))[0] == part), part)
+            part = next((key for key in raw if split_unit(key)[0] == part), part)
         written.append(part)
         raw = _at(raw, (part,))
     return tuple(written)

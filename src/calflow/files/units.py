@@ -74,12 +74,11 @@ def in_si(suffix: str, figure: float) -> float:
     return factor * figure + offset
 
 
-def split_unit(name: str, dimension: str | None = None) -> tuple[str, str] | None:
-    """Split `q1_deg` into (`q1`, `deg`); None where the name carries no unit (of that dimension)."""
-    for suffix in _LONGEST_FIRST:
-        if name.endswith("_" + suffix) and len(name) > len(suffix) + 1:
-            return (name[: -len(suffix) - 1], suffix) if not dimension or suffix in SUFFIXES[dimension] else None
-    return None
+def split_unit(name: str) -> tuple[str, str]:
+    """Split `q1_deg` into (`q1`, `deg`); a name that carries no unit into itself and an empty one."""
+    units = (unit for unit in _LONGEST_FIRST if name.endswith(f"_{unit}") and len(name) > len(unit) + 1)
+    unit = next(units, "")
+    return name.removesuffix(f"_{unit}") if unit else name, unit
 
 
 def spellings(unit: str) -> dict[str, float]:

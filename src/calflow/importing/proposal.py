@@ -73,7 +73,7 @@ def propose_import(
 def _of_other_kinds(tables: Sequence[ForeignTable]) -> Iterator[Problem]:
     """Return for each table that has what another device than one of positions reports, how a study reads it."""
     for table in tables:
-        names = {(split_unit(column.name) or (column.name,))[0] for column in table.columns}
+        names = {split_unit(column.name)[0] for column in table.columns}
         asked = {kind.id: {*kind.columns.needed, *kind.columns.within} for kind in observation_kinds().values()}
         suited = [name for name in asked if asked[name] and not {*POSES.needed} & asked[name] and asked[name] <= names]
         if suited:

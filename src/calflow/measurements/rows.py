@@ -123,7 +123,7 @@ def numbered(stem: str, n: int) -> list[str]:
 
 def split_column(spelled: str, robot: Robot, reported: Reported = POSES) -> tuple[str, str]:
     """Return a column's name without its unit, and the unit ('' if it has none)."""
-    return (spelled, "") if column_names(robot, reported).get(spelled) == "" else split_unit(spelled) or (spelled, "")
+    return (spelled, "") if column_names(robot, reported).get(spelled) == "" else split_unit(spelled)
 
 
 Missing = Literal["whole", "refuse", "skip"]

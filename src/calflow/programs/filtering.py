@@ -20,7 +20,7 @@ from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.needed_conditions import check_payload_stated, check_stated
 from calflow.files.problems import InputError, nearest, refuse, unknown_name
 from calflow.files.toml import checked_arguments
-from calflow.files.units import in_si, split_unit
+from calflow.files.units import SUFFIXES, in_si, split_unit
 from calflow.measurements.measurements import Measurements
 from calflow.programs.aims import FilterSettings, all_targets
 from calflow.programs.backup import is_backup, read_files
@@ -188,11 +188,11 @@ def _conditions(stated: Mapping[str, float]) -> dict[str, float]:
     """Return conditions in SI by name, from names with units."""
     conditions = {}
     for name, value in stated.items():
-        split = split_unit(name)
-        if split is None or split[0] not in CONDITIONS or split_unit(name, split[0]) is None:
+        condition, unit = split_unit(name)
+        if condition not in CONDITIONS or unit not in SUFFIXES[condition]:
             names = ("temperature_degC", "temperature_K", "time_s", "time_min", "time_h")
             raise refuse(f"expected one of {', '.join(names)}{nearest(name, names)}", key=f"--condition {name}")
         if not np.isfinite(value):
             raise refuse(f"expected a finite number, found {value:g}", key=f"--condition {name}")
-        conditions[split[0]] = in_si(split[1], value)
+        conditions[condition] = in_si(unit, value)
     return conditions

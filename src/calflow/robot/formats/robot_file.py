@@ -324,7 +324,7 @@ def _with_urdf(raw: dict[str, Any], origin: Origin) -> dict[str, Any]:
     context = {"n_joints": len(joints), "links": links, "kinds": {name: joint.kind for name, joint in joints.items()}}
     table = validate_table(raw, UrdfRobotFile, origin, context=context)
     for stating, keys in zip(table.joints, raw.get("joints", ()), strict=True):
-        names_of = {(split_unit(key) or (key,))[0] for key in keys}
+        names_of = {split_unit(key)[0] for key in keys}
         more = {name: getattr(stating, name) for name in PROPERTIES if name in names_of}
         joints[stating.name] = replace(joints[stating.name], **more)
     return parts | {
