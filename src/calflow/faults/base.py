@@ -217,15 +217,8 @@ def line_in_words(data: Measurements, row: int) -> str:
 
 def lines_in_words(lines: Sequence[int], most: int = 8) -> str:
     """Return line numbers in words: consecutive ones as ranges, a long list truncated."""
-    runs: list[list[int]] = []
-    for line in sorted(set(lines)):
-        if runs and line == runs[-1][-1] + 1:
-            runs[-1].append(line)
-        else:
-            runs.append([line])
-    words = []
-    for run in runs[:most]:
-        words += [str(run[0])] if len(run) == 1 else [f"{run[0]} to {run[-1]}"]
+    every = np.unique(lines)
+    runs = [run for run in np.split(every, np.flatnonzero(np.diff(every) > 1) + 1) if len(run)]
+    words = [" to ".join(map(str, dict.fromkeys((run[0], run[-1])))) for run in runs[:most]]
     more = [f"{len(runs) - most} more places"] if len(runs) > most else []
-    noun = "line" if len(set(lines)) == 1 else "lines"
-    return f"{noun} {', '.join([*words, *more])}"
+    return f"{'line' if len(every) == 1 else 'lines'} {', '.join([*words, *more])}"

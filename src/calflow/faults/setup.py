@@ -110,8 +110,7 @@ class Setup:
     def with_dimensions(self, changes: dict[int, float]) -> Setup:
         """Return the set-up with changes added to dimensions, by parameter index."""
         mean = self.mean.copy()
-        for k, change in changes.items():
-            mean[k] += change
+        mean[list(changes)] += list(changes.values())
         return replace(self, mean=mean)
 
     def freed(self, *figures: int) -> Setup:
