@@ -156,22 +156,19 @@ def fitted_alternatives(
     to be used, and their rivals are further alternatives, as are probable causes beside those found: too small to be named for
     certain, they shift predictions all the same.
     """
+    every = [*((verdict, verdict.cause) for verdict in verdicts), *((suspect, None) for suspect in suspected)]
     asked: list[tuple[float, Cause | None, Cause | None]] = [
-        (_probability(verdict, rival), verdict.cause, rival.cause)
-        for verdict in verdicts
+        (_probability(verdict, rival), gone, rival.cause)
+        for verdict, gone in every
         for rival in verdict.rivals
-        if rival.cause is not None or rival.id == UNEXPLAINED
+        if rival.cause is not None or (gone is not None and rival.id == UNEXPLAINED)
     ]
     asked += [
         (probability, verdict.cause, form)
         for verdict in verdicts
         for probability, form in _forms_by_other_conditions(verdict, final.model)
     ]
-    for verdict in suspected:
-        asked.append((verdict.probability, None, verdict.cause))
-        asked += [
-            (_probability(verdict, rival), None, rival.cause) for rival in verdict.rivals if rival.cause is not None
-        ]
+    asked += [(suspect.probability, None, suspect.cause) for suspect in suspected]
     asked += [
         (probability, None, came)
         for model, probability in zip(in_reach, probabilities(in_reach).tolist(), strict=True)

@@ -110,11 +110,6 @@ def row_mistakes(data: Measurements) -> Iterator[Mistake]:
         yield _reflected(name, "", (0,))
 
 
-def freed(data: Measurements, setup: Setup) -> Iterator[Mistake]:
-    """Yield, for every dimension of the links, the mistake of an arbitrary value."""
-    yield from LinkDimensions(data, setup).mistyped()
-
-
 def misplaced(data: Measurements, setup: Setup) -> Iterator[Mistake]:
     """Yield markers and a base with a wrong stated pose."""
     yield from LinkDimensions(data, setup).markers()

@@ -15,7 +15,7 @@ from calflow.effects.geometry import PLACED_BOUND
 from calflow.faults.base import ROBOT, Correction, Fault
 from calflow.faults.changed_setup import causes_of_loads, gravity_elsewhere, loads_late, setup_changes
 from calflow.faults.implausible import MIN_POSES, nominal_misfit
-from calflow.faults.mistake import Mistake, freed, loads, misplaced, mistakes
+from calflow.faults.mistake import LinkDimensions, Mistake, loads, misplaced, mistakes
 from calflow.faults.reference import Reference
 from calflow.faults.rough import FAR_BETTER, level, motion
 from calflow.faults.setup import PHYSICS, SINGLE, SUSPECT_SCALE, FittedSetup, Setup
@@ -106,7 +106,7 @@ def _screened(data: Measurements, setup: Setup) -> list[Mistake]:
     error = level(motion(points, positions)[2])
     nearest = np.argsort(error)[:PLACED]
     explained = [(without[k].fitted, discrete[k]) for k in nearest]
-    explained += [(mistake.undo(few).rigid.fitted, mistake) for mistake in freed(data, setup)]
+    explained += [(mistake.undo(few).rigid.fitted, mistake) for mistake in LinkDimensions(data, setup).mistyped()]
     explained.sort(key=lambda pair: -(pair[0].evidence + pair[1].log_prior))
     return [mistake for _, mistake in explained[:FITTED]]
 
