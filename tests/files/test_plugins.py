@@ -14,9 +14,13 @@ def test_any_group_is_found_by_its_base_class(tmp_path, monkeypatch):
     """Fails if the loader knows effects alone, or gives one group's classes to another."""
     install(tmp_path, "wires", LENGTHS, "wire = wires:Wire", plugins.OBSERVATIONS)
     monkeypatch.syspath_prepend(tmp_path)
-    (kind,) = plugins.plugin_classes(plugins.OBSERVATIONS, decimal.Decimal).values()
+
+    def found(group: str) -> dict[str, type[decimal.Decimal]]:
+        return plugins.catalogue_of("calflow.files", group, decimal.Decimal, lambda kind: "")
+
+    (kind,) = found(plugins.OBSERVATIONS).values()
     assert (kind.__module__, kind.id) == ("wires", "wire")
-    assert plugins.plugin_classes(plugins.EFFECTS, decimal.Decimal) == {}
+    assert found(plugins.EFFECTS) == {}
 
 
 def test_packages_are_known_by_version_and_code(tmp_path, monkeypatch):

@@ -25,22 +25,23 @@ FAILS_TO_IMPORT = (
 )  # fmt: skip
 
 
-def plugin_classes(
-    group: str, base: type[Part], taken: Collection[str] = (), flaw: Callable[[type[Part]], str] = lambda kind: ""
-) -> dict[str, type[Part]]:
-    """Return the classes that other packages register in an entry-point group, by id.
+def catalogue_of(home: str, group: str, base: type[Part], flaw: Callable[[type[Part]], str]) -> dict[str, type[Part]]:
+    """Return, by id, the classes of a calflow package (one per file) and those that other packages register.
 
     Args:
+        home: dotted name of the package whose modules are imported.
         group: entry-point group; each entry point is named by the class's `id`.
         base: required base class.
-        taken: ids that calflow itself uses.
-        flaw: returns what else is wrong with a class, or an empty string.
+        flaw: returns what else is wrong with a class of another package, or an empty string.
 
     Raises:
-        InputError: naming every class that cannot be used, with its package.
+        InputError: naming every class of another package that cannot be used, with its package.
     """
-    kinds: dict[str, type[Part]] = {}
-    owner = dict.fromkeys(taken, "calflow itself")
+    for module in iter_modules(import_module(home).__path__):
+        import_module(f"{home}.{module.name}")
+    here = [kind for kind in subclasses(base) if kind.__module__.startswith(f"{home}.")]
+    kinds = {identifier: kind for kind in here if isinstance(identifier := getattr(kind, "id", None), str)}
+    owner = dict.fromkeys(kinds, "calflow itself")
     problems = []
     for entry in sorted(entry_points(group=group), key=lambda entry: (entry.name, package(entry))):
         kind, wrong = _loaded(entry, base)
@@ -56,28 +57,7 @@ def plugin_classes(
             kinds[entry.name] = kind
             owner[entry.name] = f"package '{package(entry)}'"
     refuse_any(problems)
-    return kinds
-
-
-def catalogue_of(
-    package: str, group: str, base: type[Part], flaw: Callable[[type[Part]], str] = lambda kind: ""
-) -> dict[str, type[Part]]:
-    """Return, by id, the classes of a calflow package (one per file) and those that other packages register.
-
-    Args:
-        package: dotted name of the package whose modules are imported.
-        group: entry-point group (see `plugin_classes`).
-        base: required base class.
-        flaw: returns what else is wrong with a class of another package, or an empty string.
-
-    Raises:
-        InputError: a class of another package cannot be used.
-    """
-    for module in iter_modules(import_module(package).__path__):
-        import_module(f"{package}.{module.name}")
-    here = [kind for kind in subclasses(base) if kind.__module__.startswith(f"{package}.")]
-    kinds = {identifier: kind for kind in here if isinstance(identifier := getattr(kind, "id", None), str)}
-    return dict(sorted((kinds | plugin_classes(group, base, kinds, flaw)).items()))
+    return dict(sorted(kinds.items()))
 
 
 def subclasses(of: type[Part]) -> list[type[Part]]:
