@@ -165,7 +165,8 @@ def _plain_hypotheses(
     joined: Joined, joints: Sequence[int], robot: Robot, figures: np.ndarray, stated: Mapping[str, str]
 ) -> list[JointReading]:
     """The joint readings in the order of the names: in the stated units, else in each unit that the values allow."""
-    signs = tuple(-1 if stated.get(f"q{i + 1}_{u}", "").startswith("-") else 1 for i, u in _stated_units(robot, stated))
+    reversed_joints = {ours.partition("_")[0] for ours, theirs in stated.items() if theirs.startswith("-")}
+    signs = tuple(-1 if f"q{i + 1}" in reversed_joints else 1 for i in robot.driven)
     turning = np.array([robot.joints[i].kind == "revolute" for i in robot.driven])
     units = [joined.columns[k].unit for k in joints]
     largest = np.nanmax(np.abs(figures[:, joints]), axis=0)
@@ -179,10 +180,6 @@ def _plain_hypotheses(
         ]
         ways.append(JointReading(tuple(joints), signs, tuple(FACTORS[unit] for unit in titled)))
     return list(dict.fromkeys(ways))
-
-
-def _stated_units(robot: Robot, stated: Mapping[str, str]) -> list[tuple[int, str]]:
-    return [(i, next((s.split("_")[1] for s in stated if s.startswith(f"q{i + 1}_")), "")) for i in robot.driven]
 
 
 def _units(

@@ -189,61 +189,53 @@ def _finder(cv2: Any, printed: TargetFile) -> Any:
 
 
 def _charuco(board: Any, detector: Any, grey: np.ndarray) -> Detected | str:
-    corners, names, _, markers = detector.detectBoard(grey)
+    corners, names, _, seen = detector.detectBoard(grey)
+    numbers, markers = _numbers(names), _numbers(seen)
     if twice := _shown_twice(markers):
         return twice
-    if names is None or len(names) < FEWEST_IMAGE_POINTS:
-        read, found = (0 if seen is None else len(seen) for seen in (markers, names))
-        wrong = (
-            "; are columns and rows exchanged, or is legacy wrong?" if not found and read > FEWEST_IMAGE_POINTS else ""
-        )
+    found, read = len(numbers), len(markers)
+    if found < FEWEST_IMAGE_POINTS:
+        exchanged = not found and read > FEWEST_IMAGE_POINTS
+        wrong = "; are columns and rows exchanged, or is legacy wrong?" if exchanged else ""
         return (
             f"{plural(found, 'corner')} found, {FEWEST_IMAGE_POINTS} are needed ({plural(read, 'marker')} read{wrong})"
         )
-    numbers = np.asarray(names).ravel()
     places = np.asarray(board.getChessboardCorners(), float)[numbers]
     return Detected(numbers, places, np.asarray(corners, float).reshape(-1, 2), _has_foreign(markers, board))
 
 
-def _shown_twice(markers: np.ndarray | None) -> str:
+def _numbers(markers: np.ndarray | None) -> np.ndarray:
+    """The numbers of detected markers (n,), of which OpenCV says None if there are none."""
+    return np.empty(0, int) if markers is None else np.ravel(markers)
+
+
+def _shown_twice(markers: np.ndarray) -> str:
     """The message that an image shows two identical boards, or an empty string."""
-    every, times = np.unique(np.ravel(markers if markers is not None else []), return_counts=True)
-    if (times > 1).sum() < FEWEST_IMAGE_POINTS:
+    every, times = np.unique(markers, return_counts=True)
+    twice = every[times > 1]
+    if len(twice) < FEWEST_IMAGE_POINTS:
         return ""
-    return f"shows {(times > 1).sum()} markers twice, {every[times > 1][0]:.0f} for one: two boards alike are in it, cover one"
+    return f"shows {len(twice)} markers twice, {twice[0]:.0f} for one: two boards alike are in it, cover one"
 
 
-def _has_foreign(markers: np.ndarray | None, board: Any) -> bool:
+def _has_foreign(markers: np.ndarray, board: Any) -> bool:
     """Whether several markers do not belong to the board; fewer may be false detections."""
-    return (
-        len(np.setdiff1d(np.ravel(markers if markers is not None else []), np.ravel(board.getIds())))
-        >= FEWEST_IMAGE_POINTS
-    )
+    return len(np.setdiff1d(markers, np.ravel(board.getIds()))) >= FEWEST_IMAGE_POINTS
 
 
 def _markers(board: Any, detector: Any, grey: np.ndarray) -> Detected | str:
-    corners, names, _ = detector.detectMarkers(grey)
-    if twice := _shown_twice(names):
+    corners, seen, _ = detector.detectMarkers(grey)
+    markers = _numbers(seen)
+    if twice := _shown_twice(markers):
         return twice
     corners_of = dict(zip(np.ravel(board.getIds()).tolist(), np.asarray(board.getObjPoints(), float), strict=True))
-    read = (
-        []
-        if names is None
-        else [
-            (int(name), np.asarray(four, float).reshape(4, 2))
-            for name, four in zip(np.ravel(names), corners, strict=True)
-        ]
-    )
-    read = [(name, four) for name, four in read if name in corners_of]
+    read = [(name, four) for name, four in zip(markers.tolist(), corners, strict=True) if name in corners_of]
     if not read:
         return "no marker of the target is read"
-    numbers = [f"{name}-{k}" for name, _ in read for k in range(4)]
-    return Detected(
-        np.array(numbers),
-        np.vstack([corners_of[name] for name, _ in read]),
-        np.vstack([four for _, four in read]),
-        _has_foreign(names, board),
-    )
+    names = np.array([f"{name}-{k}" for name, _ in read for k in range(4)])
+    places = np.vstack([corners_of[name] for name, _ in read])
+    image = np.vstack([np.asarray(four, float).reshape(4, 2) for _, four in read])
+    return Detected(names, places, image, _has_foreign(markers, board))
 
 
 def _checkerboard(cv2: Any, printed: TargetFile, grey: np.ndarray) -> Detected | str:

@@ -121,13 +121,9 @@ def _nearer(
     return {
         k: reading
         for k, reading in _reached(aims, [*before.items()], corrector)
-        if np.abs(reading - before[k]).max() < _joint_motion(resolved[k], before[k]) - CLOSE
+        if (chosen := resolved[k].readings) is None
+        or np.abs(reading - before[k]).max() < np.abs(chosen - before[k]).max() - CLOSE
     }
-
-
-def _joint_motion(aim: Aim, before: np.ndarray) -> float:
-    """Return the largest joint motion from previous readings to the aim's; infinite if the aim has none."""
-    return np.inf if aim.readings is None else float(np.abs(aim.readings - before).max())
 
 
 def _near(target: Target, axes: Axes) -> np.ndarray | None:
