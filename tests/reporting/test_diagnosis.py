@@ -441,7 +441,7 @@ def test_a_step_is_told_with_its_moment_though_a_drift_may_look_like_it() -> Non
     """Fails if a user is not told after which rows to look for what happened, where steps and drifts are one family."""
     steps = Finding(status="one_of", cause="frame-step", detail="after row 75", numbers=(1, 2), statement="")
     assert steps.names == (
-        "drift of the measuring device (best described as step of the measuring device after row 75)"
+        "drift of the measuring device or the robot's foot (best described as step of the measuring device after row 75)"
     )
 
 

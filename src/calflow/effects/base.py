@@ -29,7 +29,8 @@ from calflow.robot.robot import Robot
 WINDUP_SD, WINDUP_BOUND = 10e-3, 50e-3  # rad (prismatic: m): wind-up of a joint's spring at its rated torque
 NOTHING = 1e-300  # keeps the derivative of a norm finite at zero
 TRANSMISSION = "transmission error"
-OF_THE_FRAME = "drift of the measuring device"  # a step, also between sessions, a steady drift or a random one
+# A step, also between sessions, a steady drift or a random one, of a camera's lens, too. A single device does not show which moved.
+OF_THE_FRAME = "drift of the measuring device or the robot's foot"
 LOST_MOTION = "lost motion"
 NONLINEAR = "nonlinear compliance"
 STRUCTURE = "structural compliance"
