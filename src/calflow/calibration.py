@@ -302,11 +302,7 @@ class Calibration(CalibratedModel, RunOutcome):
         tables = _diagnosed_tables(diagnosis, extended, before, questions(diagnosis, data, rng), rng)
         if confirm and diagnosis.causes:
             tables |= _confirmed_tables(diagnosis.extended, confirm, say)
-        kept = _as_loaded("diagnose", extended, tables)
-        tables |= _certainty("diagnose", kept, data, tables)
-        tables |= _in_space("diagnose", kept, data, rng("in space"))
-        alike = np.array_equal(kept.noise(data).sigma, before.noise(data).sigma)
-        tables |= Levels.of(kept, data, before.levels if alike else None).kept("diagnose")
+        kept, tables = _completed("diagnose", extended, data, tables, rng, before)
         return Calibration(
             **_fields(kept),
             robot=self.robot, measured=self.measured, folder=self.folder, before=before,
@@ -630,10 +626,7 @@ def identify(
     results = _identified_tables(fitted, faults)
     if count:
         results |= Results({"identify/count.csv": best_subset(fitted.fit, count)})
-    model = _as_loaded("identify", fitted.known, results)
-    results |= _certainty("identify", model, fitted.data, results)
-    results |= _in_space("identify", model, fitted.data, draws(seed)("in space"))
-    results |= Levels.of(model, fitted.data).kept("identify")
+    model, results = _completed("identify", fitted.known, fitted.data, results, draws(seed))
     return Calibration(**_fields(model), robot=robot, request=request, results=results, measured=lambda: data.on(robot))
 
 
@@ -646,16 +639,26 @@ def _fields(model: CalibratedModel) -> dict[str, Any]:
     return {field.name: getattr(model, field.name) for field in fields(CalibratedModel)}
 
 
-def _as_loaded(stage: str, model: CalibratedModel, results: Results) -> CalibratedModel:
-    """Return a model as it would be loaded, with the covariance in the same memory order so that sums agree exactly."""
-    sizes = read_error_model(stage, results, model.model.observations)
-    return replace(model, covariance=np.asfortranarray(model.covariance), **sizes)
+def _completed(
+    stage: str, fitted: CalibratedModel, data: Measurements, results: Results, rng: Draws, before: Calibration | None = None
+) -> tuple[CalibratedModel, Results]:  # fmt: skip
+    """Return a stage's model as it would be loaded, and its results with its certainty, errors in space and levels of effort.
 
-
-def _certainty(stage: str, model: CalibratedModel, data: Measurements, results: Results) -> Results:
-    """Return the uncertainty of a stage's model as a document of the run folder."""
+    before: the calibration that was diagnosed, whose levels hold for the same noise.
+    """
+    sizes = read_error_model(stage, results, fitted.model.observations)
+    # The covariance has the memory order of one that was loaded, so that sums agree exactly.
+    model = replace(fitted, covariance=np.asfortranarray(fitted.covariance), **sizes)
     certainty = Certainty.of(model, data, results.tables[f"{stage}/residuals.csv"])
-    return Results(documents={f"{stage}/certainty.json": to_document(certainty)})
+    results |= Results(documents={f"{stage}/certainty.json": to_document(certainty)})
+    if any(type(observation).in_space is not Observation.in_space for observation in model.model.observations):
+        name = " + ".join(dict.fromkeys(effect_ids(model.model.effects)))
+        rows = space_rows(model, data, rng("in space"), name)
+        if stage == "identify":  # the hand-eye errors do not depend on causes found later
+            rows = [*hand_eye_errors(model, data), *rows]
+        results |= Results({f"{stage}/{IN_SPACE}": to_frame(rows, SpaceError)} if rows else {})
+    alike = before and np.array_equal(model.noise(data).sigma, before.noise(data).sigma)
+    return model, results | Levels.of(model, data, before.levels if before and alike else None).kept(stage)
 
 
 def _objects(effects: Sequence[str | type[Effect] | Effect], robot: Robot, data: Measurements) -> list[str | Effect]:
@@ -696,16 +699,6 @@ def _checked_effects(
 def _check_counts(count: Mapping[str, int], effects: Iterable[object], robot: Robot) -> None:
     usable = effect_ids(effects_given(effect for effect in effects if not unusable(effect)))
     refuse_any(Problem(message, key=f"count: {effect}") for effect, message in wrong_counts(robot, usable, count))
-
-
-def _in_space(stage: str, model: CalibratedModel, data: Measurements, rng: np.random.Generator) -> Results:
-    """Return the errors of the tool in space as far as images determine them; empty without images."""
-    if not any(type(observation).in_space is not Observation.in_space for observation in model.model.observations):
-        return Results()
-    rows = space_rows(model, data, rng, " + ".join(dict.fromkeys(effect_ids(model.model.effects))))
-    if stage == "identify":  # the hand-eye errors do not depend on causes found later
-        rows = [*hand_eye_errors(model, data), *rows]
-    return Results({f"{stage}/{IN_SPACE}": to_frame(rows, SpaceError)} if rows else {})
 
 
 def _identified_tables(fitted: FittedEffects, faults: tuple[Fault, ...]) -> Results:

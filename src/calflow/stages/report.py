@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from calflow.deployment.figures_alone import EffortLevel
-from calflow.files.tables import Results, to_frame
+from calflow.files.tables import Results
 from calflow.run_folder import read_manifest
 from calflow.stages.settings import NoStageSettings
 from calflow.stages.stage import Context, Stage
@@ -18,19 +17,14 @@ if TYPE_CHECKING:
     from calflow.reporting.material import Material
 
 
-EFFORT = "report/levels_of_effort.csv"
-
-
 def _run(context: Context) -> Results:
-    """Write report.pdf, report.html and figures/*.svg, and return the accuracy of each level of effort."""
+    """Write report.pdf, report.html and figures/*.svg."""
     # imported here, since drawing and typesetting take long to load
     from calflow.reporting.document import write_report
-    from calflow.reporting.sections.controller_figures import controller_section
 
     material = report_material(context.study, context.results, context.run_folder)
     write_report(material, context.folder, context.say, context.advance)
-    levels = material.effort_levels if controller_section.applies(material) else ()
-    return Results({EFFORT: to_frame(levels, EffortLevel)} if levels else {})
+    return Results()
 
 
 def report_material(study: Study, results: Results, run_folder: Path) -> Material:
@@ -57,6 +51,5 @@ STAGE = Stage(
     _run,
     bases=("identify", "select"),
     uses=("select", "diagnose", "residual_field", "sample"),
-    tables={EFFORT: EffortLevel},
     titled=True,
 )
