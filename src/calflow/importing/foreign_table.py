@@ -10,8 +10,9 @@ import csv
 import re
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from datetime import UTC, datetime, time
+from datetime import UTC, datetime
 from itertools import takewhile
 from pathlib import Path
 
@@ -276,16 +277,11 @@ def _seconds(cell: str) -> float:
         return np.nan
     text = cell.strip().replace(",", ".")
     text = re.sub(r"^(\d{1,2})\.(\d{1,2})\.(\d{4})", r"\3-\2-\1", text)  # German order of day, month and year
-    try:
-        moment = datetime.fromisoformat(text)
-        return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
-    except ValueError:
-        pass
-    try:
-        clock = time.fromisoformat(text)
-    except ValueError:
-        return np.nan
-    return clock.hour * 3600 + clock.minute * 60 + clock.second + clock.microsecond / 1e6
+    for day in ("", "1970-01-01T"):
+        with suppress(ValueError):
+            moment = datetime.fromisoformat(f"{day}{text}")
+            return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+    return np.nan
 
 
 def name_words(name: str) -> list[str]:

@@ -62,25 +62,26 @@ def read_project(files: Mapping[str, bytes], root: Path) -> tuple[list[Program],
     Raises:
         InputError: there are no programs, or programs of several makers or robots.
     """
-    units: dict[tuple[Maker, str], list[Any]] = {}
+    units: dict[tuple[Format, str], list[Any]] = {}
     programs: list[Program] = []
     wrong: list[Problem] = []
     tasks = sorted(set(filter(None, map(_task, files))))
     for file, source in sorted(files.items()):
-        maker = _maker(file, source)
-        if maker is None:
+        named = _named(Path(file))
+        shared = Path(file).suffix.lower() in OTHERS
+        if named is None or (shared and not named.recognised(source.decode("latin-1"))):
             continue
         try:
             _, read = _read(source, root / file, file)
             # Modules outside the tasks (old versions, the controller's disk) need not be loaded together with these.
-            unit = _task(file) or (file if tasks else "") if maker == "rapid" else ""
-            units.setdefault((maker, unit), []).append(read)
+            unit = _task(file) or (file if tasks else "") if named is FORMATS["rapid"] else ""
+            units.setdefault((named, unit), []).append(read)
         except InputError as error:
             wrong.append(replace(error.problems[0], file=Path(file)))
-    for (maker, _), every in units.items():
-        linked, refused = FORMATS[maker].link(every)
+    for (language, _), every in units.items():
+        linked, refused = language.link(every)
         programs += linked
-        wrong += [FORMATS[maker].misread(problem, problem.file or root).problems[0] for problem in refused]
+        wrong += [language.misread(problem, problem.file or root).problems[0] for problem in refused]
     for program in programs:
         _check_sizes(program, root / program.file)
     _check_one_robot(programs, tasks, root)
@@ -91,11 +92,9 @@ def read_project(files: Mapping[str, bytes], root: Path) -> tuple[list[Program],
     ]
 
 
-def _maker(file: str, source: bytes) -> Maker | None:
-    """Return whose program a file is by its suffix, and by its first lines if others use the suffix; None if none's."""
-    suffix = Path(file).suffix.lower()
-    maker = next((maker for maker, format_ in FORMATS.items() if suffix in format_.suffixes), None)
-    return maker if maker and (suffix not in OTHERS or FORMATS[maker].recognised(source.decode("latin-1"))) else None
+def _named(path: Path) -> Format | None:
+    """Return the format that the suffix of a file names, if any."""
+    return next((format_ for format_ in FORMATS.values() if path.suffix.lower() in format_.suffixes), None)
 
 
 def _check_one_robot(programs: Sequence[Program], tasks: Sequence[str], root: Path) -> None:
@@ -121,7 +120,7 @@ def _read(source: bytes, path: Path, file: str) -> tuple[Format, Any]:
     if source[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raise refuse("is UTF-16; save it in UTF-8 or an 8-bit encoding", path)
     text = source.decode("latin-1")
-    named = next((format_ for format_ in FORMATS.values() if path.suffix.lower() in format_.suffixes), None)
+    named = _named(path)
     begun = [format_ for format_ in FORMATS.values() if format_.recognised(text)]
     if named and not named.recognised(text):
         instead = f"begins like {begun[0].name}" if begun else "does not begin like it"
