@@ -10,6 +10,7 @@ import pytest
 from calflow.faults import examined
 from calflow.faults.encoder_turn import turned_block
 from calflow.faults.reference import Reference
+from calflow.faults.setup import Setup
 from calflow.measurements.measurements import Measurements
 from calflow.robot.parts import Base
 from calflow.study import load_study
@@ -65,7 +66,7 @@ def test_good_rows_gain_nothing_from_a_turn(measured):
     """Fails if the scan's sums are wrong: a turn that is not there gains, or one that is does not."""
     step = 2 * np.pi / measured.robot.joints[1].gear_ratio
     for data, there in ((measured, False), (turned(measured, 2, 20, 45), True)):
-        gain, block = turned_block(data, Reference.of(data).fit, 1, step)
+        gain, block = turned_block(data, Reference.of(data, Setup.of(data)).fit, 1, step)
         assert gain > 100 if there else gain == 0
     sides = {tuple(np.flatnonzero(one.rows)[[0, -1]] + 1): one.step for one in (block, block.complement)}
     assert any(first in (20, 21, 22) and last in (44, 45, 46) and value < 0 for (first, last), value in sides.items())

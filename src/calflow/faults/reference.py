@@ -25,12 +25,8 @@ class Reference:
     fit: FittedSetup
 
     @staticmethod
-    def of(data: Measurements, setup: Setup | None = None) -> Reference | None:
-        """Return the fit of the richest model that the training rows determine; None if they are too few for any.
-
-        setup: that of these rows, if built already.
-        """
-        setup = setup or Setup.of(data)
+    def of(data: Measurements, setup: Setup) -> Reference | None:
+        """Return the fit of the richest model of a set-up that the training rows determine; None if they are too few for any."""
         equations = 3 * len(np.unique(conditions(data.only(data.train))))
         for candidate in (setup, setup.without_springs, setup.rigid):
             if EQUATIONS * (candidate.sd > 0).sum() <= equations:
