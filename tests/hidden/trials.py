@@ -152,10 +152,10 @@ class Stations:
         data = _seen(Arm(flat, true), self.nominal, rng).on(self.robot)
         noise = measured_noise(data, "file")
         found, _ = fit(LeastSquares.of(self.model, data, noise))
-        (station,) = self.model.observations[1].placements
+        ((station, place),) = self.model.observations[1].placements.items()
         in_a = np.linalg.inv(placed(A))
         drawn |= _six("base", (*self.robot.base.origin, *self.robot.base.rotation), in_a)
-        drawn |= _six(station.what, (*station.origin, *station.rotation), in_a @ placed(B))
+        drawn |= _six(station, place, in_a @ placed(B))
         names = [parameter.name for parameter in self.model.parameters]
         truth = np.array([drawn[name] for name in names])
         return (found.estimate - truth) / np.sqrt(np.diag(found.covariance))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar, Self
 
@@ -16,12 +17,11 @@ from calflow.files.toml import Angles3, FileModel, Lengths3, Unit
 from calflow.files.units import PIXEL, MeasurementUnit
 from calflow.measurements.rows import Reported
 from calflow.measurements.series import Series
-from calflow.observations.base import UNKNOWN_BOUND, UNKNOWN_SD, Observation, Placement, Seen
+from calflow.observations.base import UNKNOWN_BOUND, UNKNOWN_SD, Observation, Seen, Six
 from calflow.robot.frames import placement
 from calflow.robot.parts import Parameter
 
 Image = Annotated[float, Unit("image")]
-Six = tuple[float, float, float, float, float, float]
 NOWHERE: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 SYMBOLS = {"x": "m", "y": "m", "z": "m", "rx": "rad", "ry": "rad", "rz": "rad"}
 
@@ -119,14 +119,13 @@ class Pinhole(Observation):
         return replace(self, place=tuple(map(float, settled)))
 
     @property
-    def placements(self) -> tuple[Placement, ...]:
+    def placements(self) -> dict[str, Six]:
         """The camera."""
-        return (Placement(self.part, self.place[:3], self.place[3:]),)
+        return {self.part: self.place}
 
-    def placed(self, placements: dict[str, Placement]) -> Self:
+    def placed(self, placements: Mapping[str, Six]) -> Self:
         """Return it with the camera of an earlier one."""
-        known = placements[self.part]
-        return replace(self, place=(*known.origin, *known.rotation))
+        return replace(self, place=placements[self.part])
 
     def expected(self, points: np.ndarray, rotations: np.ndarray) -> np.ndarray:
         """Return the images."""

@@ -109,8 +109,8 @@ def test_a_small_board_has_two_places():
     seen = frame(Rotation.from_euler("XYZ", (0.25, -0.2, 0.4)), (0.03, -0.02, 0.9))
     there = points @ seen[:3, :3].T + seen[:3, 3]
     found = sighting(points, there[:, :2] / there[:, 2:])
-    np.testing.assert_allclose(found.poses[0], seen, atol=1e-6)
-    turned = Rotation.from_matrix(found.poses[1][:3, :3].T @ seen[:3, :3]).magnitude()
+    np.testing.assert_allclose(found[0], seen, atol=1e-6)
+    turned = Rotation.from_matrix(found[1][:3, :3].T @ seen[:3, :3]).magnitude()
     assert 0.3 < turned < 1.0
 
 
@@ -119,7 +119,7 @@ def test_a_body_of_points_has_one_place():
     points = np.random.default_rng(3).uniform(-0.1, 0.1, (12, 3))
     seen = frame(Rotation.from_euler("XYZ", (0.5, 0.3, 1.0)), (0.05, 0.02, 0.8))
     there = points @ seen[:3, :3].T + seen[:3, 3]
-    (only,) = sighting(points, there[:, :2] / there[:, 2:]).poses
+    (only,) = sighting(points, there[:, :2] / there[:, 2:])
     np.testing.assert_allclose(only, seen, atol=1e-8)
 
 

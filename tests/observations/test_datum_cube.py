@@ -64,9 +64,9 @@ def test_a_new_cube_is_lacking_until_it_is_added():
     cube = DatumCube.of(STATED, known).registered(points, np.zeros((12, 3, 3)), known)
     assert cube.lacks(new)
     wider = cube.extended(new)
-    assert wider.placements[0] == cube.placements[0]
+    assert wider.placements | cube.placements == wider.placements
     assert not wider.lacks(new)
-    assert cube == DatumCube.of(STATED, known).placed({place.what: place for place in cube.placements})
+    assert cube == DatumCube.of(STATED, known).placed(cube.placements)
 
 
 def test_faces_that_no_cube_has_are_refused():

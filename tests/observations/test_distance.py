@@ -61,8 +61,7 @@ def test_the_anchor_is_found_by_trilateration():
     np.testing.assert_allclose(one.anchor, ANCHOR, atol=0.02)
     assert abs(error(one, np.zeros(5), points, rows)).mean() < 2e-3
     assert through_json(one) == one
-    (place,) = one.placements
-    assert Distance.of(Series(), rows).placed({place.what: place}).anchor == one.anchor
+    assert Distance.of(Series(), rows).placed(one.placements).anchor == one.anchor
 
 
 def test_an_unknown_zero_of_a_known_anchor_is_found():

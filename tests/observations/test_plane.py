@@ -52,7 +52,7 @@ def test_a_plane_is_laid_through_its_points():
     rows = pd.DataFrame({"plane": ["table"] * 12})
     one = Plane.of(Series(), rows).registered(points, np.zeros((12, 3, 3)), rows)
     np.testing.assert_allclose(error(one, np.zeros(3), points, rows), 0, atol=1e-12)
-    turn, origin = frame(np.array([*one.placements[0].origin, *one.placements[0].rotation]))
+    turn, origin = frame(np.array(one.nominal[0]))
     assert turn[:, 2] @ -origin > 0
     assert through_json(one) == one
 
@@ -102,10 +102,9 @@ def test_a_new_plane_is_lacking_until_it_is_added():
     assert one.lacks(new)
     assert not one.lacks(rows)
     wider = one.extended(new)
-    assert wider.placements[0] == one.placements[0]
+    assert wider.placements | one.placements == wider.placements
     assert not wider.lacks(new)
-    known = {place.what: place for place in one.placements}
-    assert one == Plane.of(Series(), rows).placed(known)
+    assert one == Plane.of(Series(), rows).placed(one.placements)
 
 
 def test_what_is_expected_leaves_no_error():

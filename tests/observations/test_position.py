@@ -39,7 +39,7 @@ def test_a_further_station_sees_points_in_its_own_frame():
     points, reported = rng.normal(size=(2, 6, 3))
     one = Position.beside(Series(station=Station("B")), table(reported), first=False)
     nominal, small = rng.normal(size=6), 0.1 * rng.normal(size=6)
-    one = one.placed({one.placements[0].what: one.placements[0].__class__("", tuple(nominal[:3]), tuple(nominal[3:]))})
+    one = one.placed(dict.fromkeys(one.placements, tuple(nominal)))
     turn, origin = composed(nominal, small)
     found = error(one, small, points, table(reported), device=1.01)
     np.testing.assert_allclose(found, 1.01 * (points - origin) @ turn - reported, atol=1e-12)
@@ -105,7 +105,7 @@ def test_a_new_session_is_lacking_until_it_is_added():
     wider = one.extended(new)
     assert not wider.lacks(new)
     assert not wider.lacks(rows)
-    assert wider.placements[0] == one.placements[0]
+    assert wider.placements | one.placements == wider.placements
     assert [p.name for p in wider.declared[:6]] == [p.name for p in one.declared]
 
 

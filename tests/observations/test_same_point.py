@@ -78,10 +78,10 @@ def test_a_new_socket_is_lacking_until_it_is_added():
     assert one.lacks(new)
     assert not one.lacks(known)
     wider = one.extended(new)
-    assert wider.placements[:2] == one.placements
+    assert wider.placements | one.placements == wider.placements
     assert [p.name for p in wider.declared[:5]] == [p.name for p in one.declared]
     assert not wider.lacks(new)
-    assert one == SamePoint.of(said, known).placed({place.what: place for place in one.placements})
+    assert one == SamePoint.of(said, known).placed(one.placements)
 
 
 def test_planned_rows_go_to_the_sockets_in_turn():

@@ -49,9 +49,9 @@ def completed(model: Model, estimate: np.ndarray, data: Measurements) -> tuple[M
     every = list[Observation]()
     for k, (observation, new) in enumerate(zip(model.observations, lacking, strict=True)):
         if new:
-            rows, before = data.only(data.of_series(k)), {place.what: place for place in observation.placements}
+            rows = data.only(data.of_series(k))
             placed = registered_on(observation.extended(rows.table), rows, model, estimate)
-            observation = placed.placed({place.what: before.get(place.what, place) for place in placed.placements})
+            observation = placed.placed(placed.placements | observation.placements)
         every.append(observation)
     wider = replace(model, observations=tuple(every), effects=(*model.effects, *further))
     estimates = dict(zip((parameter.name for parameter in model.parameters), estimate, strict=True))

@@ -360,8 +360,11 @@ def placement_table(robot: Robot, observed: Sequence[Observation]) -> pd.DataFra
     ]
     if robot.tool_rotation is not None:
         rows.append(_placed("tool", (0.0, 0.0, 0.0), robot.tool_rotation, "tool", source))
-    seen = [placement for observation in observed for placement in observation.placements]
-    rows += [_placed(place.what, place.origin, place.rotation, "observation", REGISTERED) for place in seen]
+    rows += [
+        _placed(what, at[:3], at[3:], "observation", REGISTERED)
+        for observation in observed
+        for what, at in observation.placements.items()
+    ]
     return to_frame(rows, Placed)
 
 

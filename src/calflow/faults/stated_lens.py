@@ -128,9 +128,9 @@ def _image_columns(camera: Camera, eye: int, rows: pd.DataFrame) -> np.ndarray |
     """
     lens, which = camera.lens(eye), camera.reported(rows)
     image, points, target = which[:2].T, which[2:5].T, which[5 + len(camera.cameras) :, 0]
-    if (sighted := sighting(points, lens.rays(image))) is None:
+    if not (poses := sighting(points, lens.rays(image))):
         return None
-    turn, place = sighted.poses[0][:3, :3], sighted.poses[0][:3, 3]
+    turn, place = poses[0][:3, :3], poses[0][:3, 3]
     there = points @ turn.T + place
     by_point, by_lens = slopes(lens.model, there, np.tile(lens.figures, (len(there), 1)))
     (x, y, _), shape = points.T / REACH, np.zeros((len(points), 3, SHAPE))

@@ -18,7 +18,6 @@ from calflow.files.units import MeasurementUnit
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import Reported
 from calflow.measurements.series import Series
-from calflow.robot.frames import vector
 from calflow.robot.parts import Parameter
 
 Name = tuple[str, ...]
@@ -52,15 +51,6 @@ class Seen:
 
 class NoSettings(FileModel):
     """Settings of an observation kind without settings."""
-
-
-@dataclass(frozen=True)
-class Placement:
-    """The nominal pose of an object other than the robot: origin (3,) [m] and rotation (3,) [rad] about x, y, z in turn."""
-
-    what: str
-    origin: tuple[float, float, float]
-    rotation: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -156,11 +146,11 @@ class Observation(ABC):
         return self.registered(points, rotations, table)
 
     @property
-    def placements(self) -> tuple[Placement, ...]:
-        """Nominal poses of the objects, to which the parameters are corrections."""
-        return ()
+    def placements(self) -> dict[str, Six]:
+        """Nominal poses of the objects by name: origin [m] and angles about x, y, z in turn [rad], which the parameters correct."""
+        return {}
 
-    def placed(self, placements: dict[str, Placement]) -> Self:
+    def placed(self, placements: Mapping[str, Six]) -> Self:
         """Return the observation with its objects at the `placements` of an earlier one."""
         return self
 
@@ -199,7 +189,7 @@ class Observation(ABC):
 
     def lacks(self, table: pd.DataFrame) -> bool:
         """Whether rows are of an object or session (a socket, say) without parameters in this observation."""
-        return False
+        return self.extended(table) != self
 
     def extended(self, table: pd.DataFrame) -> Self:
         """Return the observation with those objects and sessions added, not yet registered."""
@@ -267,25 +257,17 @@ class OfThings(Observation):
         ))  # fmt: skip
 
     @property
-    def placements(self) -> tuple[Placement, ...]:
+    def placements(self) -> dict[str, Six]:
         """The objects' nominal poses."""
-        return tuple(
-            Placement(self.part_of(name), vector(at[:3]), vector(at[3:]))
-            for name, at in zip(self.names, self.nominal, strict=True)
-        )
+        return dict(zip(map(self.part_of, self.names), self.nominal, strict=True))
 
-    def placed(self, placements: dict[str, Placement]) -> Self:
+    def placed(self, placements: Mapping[str, Six]) -> Self:
         """Return the observation with the objects' poses of an earlier one."""
-        placed = [placements[self.part_of(name)] for name in self.names]
-        return replace(self, nominal=tuple((*placement.origin, *placement.rotation) for placement in placed))
+        return replace(self, nominal=tuple(placements[self.part_of(name)] for name in self.names))
 
     def new(self, table: pd.DataFrame) -> list[Name]:
         """Return the names of objects that the observation does not have yet."""
         return [name for name in dict.fromkeys(self.labels(table)) if name not in self.names]
-
-    def lacks(self, table: pd.DataFrame) -> bool:
-        """Whether a row is of a new object."""
-        return bool(self.new(table))
 
     def extended(self, table: pd.DataFrame) -> Self:
         """Return the observation with the new objects added."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Literal, Self
 
@@ -17,17 +17,7 @@ from calflow.files.units import PIXEL
 from calflow.measurements.measurements import image_numbers, spaced
 from calflow.measurements.rows import Reported
 from calflow.measurements.series import Series
-from calflow.observations.base import (
-    FURTHEST,
-    NOWHERE,
-    PLACE,
-    UNKNOWN_BOUND,
-    UNKNOWN_SD,
-    Observation,
-    Placement,
-    Seen,
-    Six,
-)
+from calflow.observations.base import FURTHEST, NOWHERE, PLACE, UNKNOWN_BOUND, UNKNOWN_SD, Observation, Seen, Six
 from calflow.observations.hand_eye import FEWEST_IMAGE_POINTS, Sighting, camera_and_target, focal_length, sighting
 from calflow.observations.hand_eye_methods import METHODS, camera_by
 from calflow.observations.lens import DISTORTION, Lens, projected, slopes
@@ -207,10 +197,10 @@ class Camera(Observation):
     def _described(self) -> Iterator[tuple[Parameter | None, ...]]:
         """All errors there may be, camera by camera and target by target; None of what is known."""
         for k, eye in enumerate(self.cameras):
-            part = "-".join(filter(None, (self.part, eye.name)))
+            part = self._part_of(eye)
             yield (*self._place(part, "camera", eye.place), *self._lens_errors(part, k))
         for target in self.targets:
-            part = "-".join(filter(None, (self.series.name, "target", target.name)))
+            part = self._part_of(target)
             sd = self.series.number(self.size_setting) or 0.0
             size = self._error(part, "scale", "1", sd, FURTHEST * sd, 0.0, "scale of the print")
             yield *self._place(part, "target", target.place), size and replace(size, of_size=True)
@@ -264,6 +254,11 @@ class Camera(Observation):
 
     def error(self, p: ca.SX, seen: Seen, y: ca.SX) -> ca.SX:
         """Return the difference of the images."""
+        point, figures = self._there(p, seen, y)
+        return projected(self._model, seen.device(point), figures) - y[:2]
+
+    def _there(self, p: ca.SX, seen: Seen, y: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Return where a row's point is in the camera's frame (3,) [m], and the figures of the camera's lens."""
         values = _spread(self._described, p)
         n = len(self.cameras)
         eyes = [
@@ -278,7 +273,7 @@ class Camera(Observation):
         there = ca.reshape(board[:16], 4, 4) @ ca.vertcat(seen.target((1 + board[16]) * y[2:5]), 1)
         here = self._frame(seen, "camera_on") @ ca.reshape(eye[:16], 4, 4)
         there = _inverse(here) @ self._frame(seen, "target_on") @ there
-        return projected(self._model, seen.device(there[:3]), eye[16:]) - y[:2]
+        return there[:3], eye[16:]
 
     def _frame(self, seen: Seen, what: str) -> ca.SX:
         link = self._link(what)
@@ -369,7 +364,7 @@ class Camera(Observation):
         image, point, c = which[:2].T, which[2:5].T, most // len(self.targets)
         views = [np.flatnonzero(images == images[row]) for row in first[pair[first] == most]]
         at, seen = _sighted(self._with_lens(c, views, point, image).lens(c), views, point, image)
-        poses = np.array([sighted.poses[0] for sighted in seen]).reshape(-1, 4, 4)
+        poses = np.array([sighted[0] for sighted in seen]).reshape(-1, 4, 4)
         places = poses[:, :3, :3] @ point[np.concatenate(views)].mean(axis=0) + poses[:, :3, 3]
         if self._link("camera_on") is not None and len(at):
             places = np.einsum("nji,nj->ni", poses[:, :3, :3], places.mean(axis=0) - places)
@@ -396,22 +391,15 @@ class Camera(Observation):
         sd = np.array([parameter.prior_sd for parameter in fixed.parameters()])
         if not len(sd) or not len(table):
             return self
-        p, y = ca.SX.sym("p", len(sd)), ca.SX.sym("y", self.reports)
-        hand_pose, other = ca.SX.sym("h", 4, 4), ca.SX.sym("b", 4, 4)
-        seen = Seen(ca.SX(3, 1), lambda: ca.SX.eye(3), lambda point: point,
-                    lambda link: hand_pose if link == self._link("camera_on") else other, lambda: ca.SX(3, 1))  # fmt: skip
-        error = fixed.error(p, seen, y)
-        frames = [ca.vec(hand_pose), ca.vec(other)]
-        residual = ca.Function("residual", [p, *frames, y], [error])
-        jacobian = ca.Function("jacobian", [p, *frames, y], [ca.vec(ca.jacobian(error, p))])
-        poses = (frame.transpose(0, 2, 1).reshape(-1, 16).T for frame in (hand, base))
-        rows = [ca.DM(values) for values in (*poses, self.reported(table))]
+        rows = (hand, base, self.reported(table))
+        residual = fixed._of_rows(lambda p, seen, y: fixed.error(p, seen, y), *rows)
+        jacobian = fixed._of_rows(lambda p, seen, y: ca.vec(ca.jacobian(fixed.error(p, seen, y), p)), *rows)
 
         def missed(x: np.ndarray) -> np.ndarray:
-            return np.append(np.nan_to_num(np.array(residual(ca.DM(sd * x), *rows)).T.ravel(), nan=1e6), x)
+            return np.append(np.nan_to_num(residual(sd * x).T.ravel(), nan=1e6), x)
 
         def slope(x: np.ndarray) -> np.ndarray:
-            by_row = np.array(jacobian(ca.DM(sd * x), *rows)).reshape(len(sd), 2, -1)
+            by_row = jacobian(sd * x).reshape(len(sd), 2, -1)
             return np.vstack([np.nan_to_num(by_row.transpose(2, 1, 0).reshape(-1, len(sd)) * sd), np.eye(len(sd))])
 
         correction = np.zeros(len(sd))
@@ -422,6 +410,22 @@ class Camera(Observation):
             )
             correction = fit.x
         return replace(fixed._by(sd * correction), series=self.series)
+
+    def _of_rows(
+        self, of: Callable[[ca.SX, Seen, ca.SX], ca.SX], hand: np.ndarray, base: np.ndarray, reported: np.ndarray
+    ) -> Callable[[np.ndarray], np.ndarray]:
+        """Return the function of the parameters that tells a quantity of all rows (size, n_rows), given an undisturbed device.
+
+        hand and base (n_rows, 4, 4) are where what camera and target are on is.
+        """
+        p, y = ca.SX.sym("p", len(self.parameters())), ca.SX.sym("y", self.reports)
+        hand_pose, other = ca.SX.sym("h", 4, 4), ca.SX.sym("b", 4, 4)
+        seen = Seen(ca.SX(3, 1), lambda: ca.SX.eye(3), lambda point: point,
+                    lambda link: hand_pose if link == self._link("camera_on") else other, lambda: ca.SX(3, 1))  # fmt: skip
+        function = ca.Function("of_row", [p, ca.vec(hand_pose), ca.vec(other), y], [ca.densify(of(p, seen, y))])
+        poses = (frame.transpose(0, 2, 1).reshape(-1, 16).T for frame in (hand, base))
+        rows = [ca.DM(values) for values in (*poses, reported)]
+        return lambda values: np.array(function(ca.DM(values), *rows))
 
     def _by(self, p: np.ndarray) -> Self:
         """The observation about p: what is stated stays, with its error left to the fit."""
@@ -445,25 +449,23 @@ class Camera(Observation):
         kept = [self.series.setting(f"{what}_{kind}") is not None for kind in ("origin", "rotation") for _ in range(3)]
         return _six(placement_matrix(place) @ placement_matrix(np.where(kept, 0.0, by)))
 
-    @property
-    def placements(self) -> tuple[Placement, ...]:
-        """The cameras and the targets, each in the frame of its link."""
-        eyes = [("-".join(filter(None, (self.part, eye.name))), eye.place) for eye in self.cameras]
-        boards = [
-            ("-".join(filter(None, (self.series.name, "target", target.name))), target.place) for target in self.targets
-        ]
-        return tuple(Placement(what, place[:3], place[3:]) for what, place in (*eyes, *boards))
+    def _part_of(self, thing: Eye | Board) -> str:
+        """Return the name of the parameters' part of a camera or target."""
+        of = (self.part, thing.name) if isinstance(thing, Eye) else (self.series.name, "target", thing.name)
+        return "-".join(filter(None, of))
 
-    def placed(self, placements: dict[str, Placement]) -> Self:
+    @property
+    def placements(self) -> dict[str, Six]:
+        """The cameras and the targets, each in the frame of its link."""
+        cameras = {self._part_of(eye): eye.place for eye in self.cameras}
+        return cameras | {self._part_of(target): target.place for target in self.targets}
+
+    def placed(self, placements: Mapping[str, Six]) -> Self:
         """Return it with the cameras and targets of an earlier one."""
-        n = len(self.cameras)
-        at = [
-            (*placements[placement.what].origin, *placements[placement.what].rotation) for placement in self.placements
-        ]
         return replace(
             self,
-            cameras=tuple(replace(eye, place=place) for eye, place in zip(self.cameras, at[:n], strict=True)),
-            targets=tuple(replace(target, place=place) for target, place in zip(self.targets, at[n:], strict=True)),
+            cameras=tuple(replace(eye, place=placements[self._part_of(eye)]) for eye in self.cameras),
+            targets=tuple(replace(target, place=placements[self._part_of(target)]) for target in self.targets),
         )
 
     @property
@@ -519,25 +521,10 @@ class Camera(Observation):
         self, values: np.ndarray, links: Callable[[str], np.ndarray], table: pd.DataFrame, error: np.ndarray
     ) -> np.ndarray:
         """Return by how much what moves is to be shifted for its image to fit best: the camera, or the target's middle."""
-        hand, base = self._frames(links, len(table))
-        every = [np.array(ca.DM(figures)).ravel() for figures in _spread(self._described, ca.SX(values))]
-        n, which = len(self.cameras), self.reported(table)
-        of_camera, of_target = self._which(which)
-        eyes = [
-            placement_matrix(eye.place) @ placement_matrix(figures[:6])
-            for eye, figures in zip(self.cameras, every[:n], strict=True)
-        ]
-        boards = [
-            placement_matrix(target.place) @ placement_matrix(figures[:6])
-            for target, figures in zip(self.targets, every[n:], strict=True)
-        ]
-        figures = np.array(
-            [np.array(eye.lens) + parts[6:] for eye, parts in zip(self.cameras, every[:n], strict=True)]
-        )[of_camera]
-        scale = np.array([1 + parts[6] for parts in every[n:]])[of_target]
-        seen = np.linalg.inv(hand @ np.array(eyes)[of_camera]) @ base @ np.array(boards)[of_target]
-        local = scale[:, None] * which[2:5].T
-        there = np.einsum("nij,nj->ni", seen[:, :3, :3], local) + seen[:, :3, 3]
+        rows = (*self._frames(links, len(table)), self.reported(table))
+        there, figures = np.split(
+            self._of_rows(lambda *row: ca.vertcat(*self._there(*row)), *rows)(values).T, [3], axis=1
+        )
         slope, _ = slopes(self._model, there, figures)
         by_turn = slope @ crossing(there)
         images = np.unique(image_numbers(table), return_inverse=True)[1]
@@ -564,17 +551,12 @@ class Camera(Observation):
         errors = np.array(ca.DM(_spread(self._described, ca.SX(values))[0])).ravel()[6:]
         lens = tuple(map(float, np.array(self.cameras[0].lens) + errors))
         seeing = replace(self, cameras=(replace(self.cameras[0], lens=lens),))
-        rays, points = seeing.lens(0).rays(which[:2].T), which[2:5].T
-        sightings = [(view[0], sighting(points[view], rays[view])) for view in views]
-        at, seen = (
-            np.array([k for k, sighted in sightings if sighted], dtype=int),
-            [sighted for _, sighted in sightings if sighted],
-        )
+        at, seen = _sighted(seeing.lens(0), views, which[2:5].T, which[:2].T)
         if len(seen) < FEWEST_POSES:
             return {}
         hand, base = (frame[at] for frame in self._frames(links, len(table)))
         chosen = np.maximum(camera_and_target(seen, hand, base)[2], 0)
-        poses = np.array([sighted.poses[k] for sighted, k in zip(seen, chosen, strict=True)])
+        poses = np.array([sighted[k] for sighted, k in zip(seen, chosen, strict=True)])
         motion, made = np.linalg.inv(base) @ hand, dict[str, Self | str]()
         for method in METHODS:
             try:
@@ -593,13 +575,6 @@ class Camera(Observation):
             settled = replace(placed[-1], series=series)._settled(table, *self._frames(links, len(table)))
             made[LEAST_SQUARES] = replace(settled, series=self.series)
         return made
-
-    def lacks(self, table: pd.DataFrame) -> bool:
-        """Whether a camera or a target is new."""
-        names = ({eye.name for eye in self.cameras}, {target.name for target in self.targets})
-        return any(
-            not set(_names(table, what)) <= allowed for what, allowed in zip(("camera", "target"), names, strict=True)
-        )
 
     def extended(self, table: pd.DataFrame) -> Self:
         """Return it with the new cameras and targets."""
@@ -661,7 +636,7 @@ def _places(
     seen: Sequence[Sighting], hand: np.ndarray, base: np.ndarray, camera: np.ndarray | None, target: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Camera and target (4, 4) on their links; one that is known tells the other."""
-    every = [(k, pose) for k, sighting in enumerate(seen) for pose in sighting.poses]
+    every = [(k, pose) for k, sighted in enumerate(seen) for pose in sighted]
     if camera is None and target is None:
         camera, target, _ = camera_and_target(seen, hand, base)
         return camera, target

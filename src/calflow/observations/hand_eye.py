@@ -7,7 +7,6 @@ and Pinz 2006), or from the direct linear transform if the target is not planar;
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -22,31 +21,30 @@ AGREES = 0.2  # rad: largest rotation error of an inlier image
 CHOICE_ROUNDS = 4  # rounds of choosing each image's solution given the camera
 
 
-@dataclass(frozen=True, eq=False)
-class Sighting:
-    """The candidate poses of a target in one image, each (4, 4) in the camera's frame, in order of reprojection error."""
-
-    poses: tuple[np.ndarray, ...]
+Sighting = Sequence[np.ndarray]  # candidate poses of a target in one image, each (4, 4) in the camera's frame
 
 
-def sighting(points: np.ndarray, rays: np.ndarray) -> Sighting | None:
-    """Return the candidate poses of a target with points (n, 3) [m] seen along rays (x / z, y / z), (n, 2); None if too few."""
+def sighting(points: np.ndarray, rays: np.ndarray) -> Sighting:
+    """Return the candidate poses of a target with points (n, 3) [m] seen along rays (x / z, y / z), (n, 2).
+
+    They are in order of reprojection error; none if there are too few points.
+    """
     centroid = points.mean(axis=0)
     _, extent, axes = np.linalg.svd(points - centroid, full_matrices=True)
     if len(points) < FEWEST_IMAGE_POINTS or extent[1] < THICKNESS_OF_PLANE * extent[0]:
-        return None
+        return ()
     if np.linalg.det(axes) < 0:
         axes[2] = -axes[2]
     local = (points - centroid) @ axes.T
     flat = len(extent) < 3 or extent[2] < THICKNESS_OF_PLANE * extent[0]
     if not flat and len(points) < 6:
-        return None
+        return ()
     first = _refined(_of_plane(local[:, :2], rays) if flat else _of_body(local, rays), local, rays)
     solutions = [first, _refined(_reflected(first), local, rays)] if flat else [first]
     back = np.eye(4)
     back[:3, :3], back[:3, 3] = axes, -axes @ centroid
     solutions.sort(key=lambda pose: float((_reprojection_error(pose, local, rays) ** 2).sum()))
-    return Sighting(tuple(pose @ back for pose in solutions if np.isfinite(pose).all()))
+    return [pose @ back for pose in solutions if np.isfinite(pose).all()]
 
 
 def focal_length(views: Sequence[tuple[np.ndarray, np.ndarray]], otherwise: float) -> float:
@@ -79,8 +77,8 @@ def camera_and_target(
     candidate cameras, and the one with most inliers selects each image's solution (-1: the image is an outlier).
     """
     motion = np.linalg.inv(base) @ hand
-    count = max(len(sighting.poses) for sighting in sightings)
-    seen = np.array([[*sighting.poses, *[sighting.poses[0]] * (count - len(sighting.poses))] for sighting in sightings])
+    count = max(len(sighting) for sighting in sightings)
+    seen = np.array([[*sighting, *[sighting[0]] * (count - len(sighting))] for sighting in sightings])
     n = len(sightings)
     every = np.arange(n)
     best, chosen = np.inf, np.zeros(n, dtype=int)
