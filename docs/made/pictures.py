@@ -13,7 +13,6 @@ from matplotlib.figure import Figure
 
 from calflow.effects import Effect
 from calflow.effects.base import Variable, joint_variable
-from calflow.effects.cause import parts
 from calflow.model import over_rows
 from calflow.robot.mechanism import Row
 from made.bench import Bench
@@ -47,12 +46,12 @@ def shown(bench: Bench, effect: Effect) -> Shown:
     sd = np.array([parameter.prior_sd for parameter in effect.declared])
     if effect.is_noise():
         response = _scatter(bench, effect)[:, None, None] * rng.normal(size=(len(bench.data), 3, 1))
-    size = {part: float(((response[:, :, at] * sd[at]) ** 2).sum()) for part, at in parts(effect).items()}
+    size = {part: float(((response[:, :, at] * sd[at]) ** 2).sum()) for part, at in effect.parts.items()}
     if effect not in bench.fitted and not effect.is_noise():
         size = {place.part: float((place.left**2).sum()) for place in places(bench, effect)}
     numbered = [parameter.part for parameter in effect.declared if parameter.joint]
     part = max(numbered or size, key=lambda name: size[name])
-    at = parts(effect)[part]
+    at = effect.parts[part]
     low = np.array([effect.declared[k].lower for k in at])
     p = sd[at] * (rng.normal(size=len(at)) if len(at) > 1 else 1.0)
     p = np.where(low >= 0, abs(p), p)

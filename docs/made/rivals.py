@@ -8,7 +8,6 @@ from functools import lru_cache
 import numpy as np
 
 from calflow.effects import Effect, catalogue
-from calflow.effects.cause import parts
 from made.bench import Bench
 
 KEPT = 1e-9  # of a matrix's largest singular value: what is less is rounding
@@ -64,7 +63,7 @@ def places(bench: Bench, effect: Effect) -> tuple[Place, ...]:
     """An effect at each of its places, scaled by its prior."""
     all_of_it, fitted = _scaled(bench, effect), _fitted(bench)
     found = []
-    for part, columns in parts(effect).items():
+    for part, columns in effect.parts.items():
         own = all_of_it[:, columns]
         left = own - fitted @ (fitted.T @ own)
         found.append(Place(effect, part, 1 - float((left**2).sum() / max((own**2).sum(), 1e-30)), left))

@@ -12,7 +12,7 @@ from calflow.diagnosis.screening import Family, Score
 from calflow.diagnosis.trial import Screened
 from calflow.diagnosis.verdict import amplitude
 from calflow.effects import catalogue
-from calflow.effects.cause import Cause, parts
+from calflow.effects.cause import Cause
 from calflow.measurements.measurements import Measurements
 from effects.bench import UNSHOWN, waves
 
@@ -50,7 +50,7 @@ def test_a_limit_is_of_the_size_that_findings_state(full: Measurements, name: st
     rng = np.random.default_rng(5)
     variants = catalogue()[name].variants(full.robot, full)
     for effect in [] if catalogue()[name].is_noise() else dict.fromkeys((variants[0], variants[-1])):
-        cause = Cause(full.robot, effect, list(parts(effect))[-1])
+        cause = Cause(full.robot, effect, list(effect.parts)[-1])
         score = scored(cause, rng)
         screened = Screened((score,), FAMILY, LEFT + score.shown)
         (limit,) = detection_limits([score], screened, ALARM, np.random.default_rng(6))

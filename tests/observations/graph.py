@@ -35,6 +35,11 @@ def error(
     return found
 
 
+def no_links(name: str) -> np.ndarray:
+    """The frames of a robot's links where an observation is not to ask for them."""
+    raise AssertionError(f"asks for link '{name}'")
+
+
 def through_json(observation: Observation) -> Observation:
     """The observation as a later stage reads it back."""
     row = observation_table([observation]).iloc[0].to_dict()

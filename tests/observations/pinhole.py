@@ -17,7 +17,7 @@ from calflow.files.toml import Angles3, FileModel, Lengths3, Unit
 from calflow.files.units import PIXEL, MeasurementUnit
 from calflow.measurements.rows import Reported
 from calflow.measurements.series import Series
-from calflow.observations.base import UNKNOWN_BOUND, UNKNOWN_SD, Observation, Seen, Six
+from calflow.observations.base import UNKNOWN_BOUND, UNKNOWN_SD, Links, Observation, Seen, Six
 from calflow.robot.frames import placement
 from calflow.robot.parts import Parameter
 
@@ -101,7 +101,7 @@ class Pinhole(Observation):
         own = Rotation.from_euler("XYZ", place[3:]).inv().apply(points - place[:3])
         return middle + focal * own[:, :2] / own[:, 2:]
 
-    def registered(self, points: np.ndarray, rotations: np.ndarray, table: pd.DataFrame) -> Self:
+    def registered(self, points: np.ndarray, links: Links, table: pd.DataFrame) -> Self:
         """Place the camera by the images of the nominal robot's points: by lines first, then by what the images are off."""
         focal, middle = self._lens
         seen = self.reported(table).T

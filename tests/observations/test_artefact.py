@@ -15,7 +15,7 @@ from calflow.observations.artefact import Artefact
 from calflow.robot.parts import Base
 from hidden.devices import Arm, measured, rows
 from hidden.trials import calibrated, error_of_tool
-from observations.graph import error, frame, through_json
+from observations.graph import error, frame, no_links, through_json
 from robots import ur10
 
 PLACE = np.array([0.5, 0.3, 0.2, 0.2, -0.3, 0.6])
@@ -50,7 +50,7 @@ def test_the_error_is_the_markers_place_less_the_points():
 def test_an_artefact_is_laid_where_its_points_are(own):
     """Fails if exact points leave an error: of a plate, or of points in a line, mirrored ones too."""
     table = stated(own)
-    laid = Artefact.of(Series("", "artefact"), table).registered(lying(own), np.zeros((len(own), 3, 3)), table)
+    laid = Artefact.of(Series("", "artefact"), table).registered(lying(own), no_links, table)
     np.testing.assert_allclose(error(laid, np.zeros(6), lying(own), table), 0, atol=1e-12)
     assert through_json(laid) == laid
 
@@ -58,7 +58,7 @@ def test_an_artefact_is_laid_where_its_points_are(own):
 def test_a_new_placement_is_lacking_until_it_is_added():
     """Fails if an unknown placement goes unseen, or adding it moves the one that is known."""
     known, new = (stated(PLATE, placement=name) for name in "ab")
-    laid = Artefact.of(Series("", "artefact"), known).registered(lying(PLATE), np.zeros((9, 3, 3)), known)
+    laid = Artefact.of(Series("", "artefact"), known).registered(lying(PLATE), no_links, known)
     assert laid.lacks(new)
     wider = laid.extended(new)
     assert wider.placements | laid.placements == wider.placements

@@ -145,7 +145,7 @@ def seen_from_nowhere(made: Photographs, arm: Arm, settings: dict) -> Camera:
     frames = arm.links(q)
     begun = Camera.of(Series.of("", "camera", settings), rows.assign(repeat=1))
     zero = np.zeros((len(rows), 3))
-    return begun.registered_on(lambda link: frames[-1], zero, np.zeros((len(rows), 3, 3)), rows.assign(repeat=1))
+    return begun.registered(zero, lambda link: frames[-1], rows.assign(repeat=1))
 
 
 @pytest.mark.parametrize(("arm", "in_hand"), [(UR5E, True), (PANDA, False)])
@@ -233,7 +233,7 @@ def test_photographs_place_a_real_camera(folder, on, focal, centre, stated, free
     assert free < min(refined)
     for lens, most in ((known, stated), ({"size": (2 * centre[0], 2 * centre[1])}, free)):
         begun = Camera.of(Series.of("", "camera", on | lens), rows[~held])
-        camera = begun.registered_on(lambda link: hand[~held], np.zeros((0, 3)), np.zeros((0, 3, 3)), rows[~held])
+        camera = begun.registered(np.zeros((0, 3)), lambda link: hand[~held], rows[~held])
         eye, board_at = placement_matrix(camera.cameras[0].place), placement_matrix(camera.targets[0].place)
         seen = np.linalg.inv(hand @ eye) @ board_at if on else np.linalg.inv(eye) @ hand @ board_at
         there = np.einsum("nij,nj->ni", seen[:, :3, :3], rows[COLUMNS].to_numpy()) + seen[:, :3, 3]

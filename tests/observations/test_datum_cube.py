@@ -14,7 +14,7 @@ from calflow.measurements.series import Series
 from calflow.model import build
 from calflow.observations.datum_cube import DatumCube
 from calflow.robot.parts import Base
-from observations.graph import error, frame, through_json
+from observations.graph import error, frame, no_links, through_json
 from robots import ur10
 
 PLACE, SIZE = np.array([0.5, 0.3, 0.2, 0.2, -0.3, 0.6]), np.array([0.1, 0.15, 0.2])
@@ -50,7 +50,7 @@ def test_a_cube_is_laid_against_its_faces(faces):
     rng = np.random.default_rng(2)
     named = faces * 6
     points, table = on_faces(rng, named), pd.DataFrame({"face": named})
-    cube = DatumCube.of(STATED, table).registered(points, np.zeros((len(named), 3, 3)), table)
+    cube = DatumCube.of(STATED, table).registered(points, no_links, table)
     np.testing.assert_allclose(error(cube, np.zeros(6), points, table), 0, atol=1e-7)
     assert through_json(cube) == cube
 
@@ -61,7 +61,7 @@ def test_a_new_cube_is_lacking_until_it_is_added():
     named = ["x", "y", "z"] * 4
     points = on_faces(rng, named)
     known, new = (pd.DataFrame({"face": named, "cube": [name] * 12}) for name in "ab")
-    cube = DatumCube.of(STATED, known).registered(points, np.zeros((12, 3, 3)), known)
+    cube = DatumCube.of(STATED, known).registered(points, no_links, known)
     assert cube.lacks(new)
     wider = cube.extended(new)
     assert wider.placements | cube.placements == wider.placements

@@ -10,7 +10,7 @@ from calflow.files.problems import InputError
 from calflow.files.toml import Origin, validate_table
 from calflow.measurements.series import Series
 from calflow.observations.distance import Distance, DistanceSettings
-from observations.graph import error, through_json
+from observations.graph import error, no_links, through_json
 
 ANCHOR = np.array([1.5, -0.7, 0.3])
 
@@ -37,7 +37,7 @@ def test_what_is_stated_is_not_fitted():
     points, length = rng.normal(size=(6, 3)), rng.uniform(1, 2, 6)
     rows = table(length)
     one = Distance.of(Series.of("bar", "distance", {"anchor": tuple(ANCHOR), "offset": 0.05, "scale": -1e-3}), rows)
-    one = one.registered(points, np.zeros((6, 3, 3)), rows)
+    one = one.registered(points, no_links, rows)
     expected = 0.999 * np.linalg.norm(points - ANCHOR, axis=1) + 0.05 - length
     assert one.declared == ()
     np.testing.assert_allclose(error(one, np.zeros(0), points, rows)[:, 0], expected, atol=1e-14)
@@ -57,7 +57,7 @@ def test_the_anchor_is_found_by_trilateration():
     rng = np.random.default_rng(3)
     points = rng.uniform(-1, 1, size=(60, 3))
     rows = table(np.linalg.norm(points + 2e-3 * rng.normal(size=(60, 3)) - ANCHOR, axis=1) + 0.015)
-    one = Distance.of(Series(), rows).registered(points, np.zeros((60, 3, 3)), rows)
+    one = Distance.of(Series(), rows).registered(points, no_links, rows)
     np.testing.assert_allclose(one.anchor, ANCHOR, atol=0.02)
     assert abs(error(one, np.zeros(5), points, rows)).mean() < 2e-3
     assert through_json(one) == one
@@ -70,7 +70,7 @@ def test_an_unknown_zero_of_a_known_anchor_is_found():
     points = rng.uniform(-1, 1, size=(60, 3))
     rows = table(np.linalg.norm(points - ANCHOR, axis=1) + 0.015)
     bare = Distance.of(Series.of("wire", "distance", {"anchor": tuple(ANCHOR)}), rows)
-    one = bare.registered(points, np.zeros((60, 3, 3)), rows)
+    one = bare.registered(points, no_links, rows)
     assert one.anchor == tuple(ANCHOR)
     assert error(one, np.zeros(2), points, rows)[:, 0] == pytest.approx(0.0, abs=1e-4)
     np.testing.assert_allclose(one.expected(points, np.zeros((60, 3, 3)))[0], rows["length"], atol=1e-4)

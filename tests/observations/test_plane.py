@@ -18,7 +18,7 @@ from calflow.observations.plane import Plane, PlaneSettings
 from calflow.robot.parts import Base
 from hidden.devices import Arm, measured, surface, wire
 from hidden.trials import calibrated, error_of_tool
-from observations.graph import error, frame, through_json
+from observations.graph import error, frame, no_links, through_json
 from robots import ur10
 
 PLACE = np.array([0.4, -0.2, -0.6, 0.15, -0.1, 0.0])
@@ -50,7 +50,7 @@ def test_a_plane_is_laid_through_its_points():
     rng = np.random.default_rng(2)
     points = on_plane(rng, 12)
     rows = pd.DataFrame({"plane": ["table"] * 12})
-    one = Plane.of(Series(), rows).registered(points, np.zeros((12, 3, 3)), rows)
+    one = Plane.of(Series(), rows).registered(points, no_links, rows)
     np.testing.assert_allclose(error(one, np.zeros(3), points, rows), 0, atol=1e-12)
     turn, origin = frame(np.array(one.nominal[0]))
     assert turn[:, 2] @ -origin > 0
@@ -64,7 +64,7 @@ def test_a_gauge_reads_heights_over_it():
     reading = np.full(9, 0.01)
     points = on_plane(rng, 9) + reading[:, None] * turn[:, 2]
     rows = pd.DataFrame({"reading": reading})
-    one = Plane.of(Series(), rows).registered(points, np.zeros((9, 3, 3)), rows)
+    one = Plane.of(Series(), rows).registered(points, no_links, rows)
     np.testing.assert_allclose(error(one, np.zeros(3), points, rows), 0, atol=1e-12)
 
 
@@ -75,7 +75,7 @@ def test_readings_that_differ_still_lay_the_plane():
     reading = rng.uniform(0, 0.01, 40)
     points = on_plane(rng, 40) + reading[:, None] * turn[:, 2]
     rows = pd.DataFrame({"reading": reading})
-    one = Plane.of(Series(), rows).registered(points, np.zeros((40, 3, 3)), rows)
+    one = Plane.of(Series(), rows).registered(points, no_links, rows)
     np.testing.assert_allclose(error(one, np.zeros(3), points, rows), 0, atol=1e-9)
 
 
@@ -88,7 +88,7 @@ def test_readings_count_from_either_side(side):
     points = on_plane(rng, 40) + side * reading[:, None] * turn[:, 2] + 3e-4 * rng.normal(size=(40, 3))
     points[7] += 0.2 * turn[:, 2]
     rows = pd.DataFrame({"reading": reading})
-    one = Plane.of(Series(), rows).registered(points, np.zeros((40, 3, 3)), rows)
+    one = Plane.of(Series(), rows).registered(points, no_links, rows)
     left = np.delete(error(one, np.zeros(3), points, rows)[:, 0], 7)
     assert np.sqrt(np.mean(left**2)) < 4e-4
 
@@ -98,7 +98,7 @@ def test_a_new_plane_is_lacking_until_it_is_added():
     rng = np.random.default_rng(5)
     points = on_plane(rng, 8)
     rows, new = (pd.DataFrame({"plane": [name] * 8}) for name in ("table", "wall"))
-    one = Plane.of(Series(), rows).registered(points, np.zeros((8, 3, 3)), rows)
+    one = Plane.of(Series(), rows).registered(points, no_links, rows)
     assert one.lacks(new)
     assert not one.lacks(rows)
     wider = one.extended(new)
@@ -112,7 +112,7 @@ def test_what_is_expected_leaves_no_error():
     rng = np.random.default_rng(6)
     points = rng.normal(size=(5, 3))
     rows = pd.DataFrame({"plane": ["table"] * 5})
-    one = Plane.of(Series(), rows).registered(on_plane(rng, 5), np.zeros((5, 3, 3)), rows)
+    one = Plane.of(Series(), rows).registered(on_plane(rng, 5), no_links, rows)
     reading = one.expected(points, np.zeros((5, 3, 3)))[0]
     np.testing.assert_allclose(error(one, np.zeros(3), points, rows.assign(reading=reading)), 0, atol=1e-12)
 

@@ -8,7 +8,7 @@ import pytest
 
 from calflow.measurements.series import Series, Station
 from calflow.observations.position import Position
-from observations.graph import error, frame, through_json
+from observations.graph import error, frame, no_links, through_json
 
 
 def table(points: np.ndarray, sessions: list[str] | None = None) -> pd.DataFrame:
@@ -75,7 +75,7 @@ def test_a_station_is_registered_where_its_rows_put_it():
             reported[i] = turn.T @ (points[i] - origin)
     rows = table(reported, sessions)
     series = Series(station=Station("A", by_session=True))
-    one = Position.of(series, rows).registered(points, np.zeros((20, 3, 3)), rows)
+    one = Position.of(series, rows).registered(points, no_links, rows)
     np.testing.assert_allclose(error(one, np.zeros(12), points, rows), 0, atol=1e-12)
     assert through_json(one) == one
 
@@ -86,7 +86,7 @@ def test_a_known_station_has_no_parameters():
     points, reported = rng.normal(size=(2, 6, 3))
     station = Station("B", known=True, origin=(1.0, 2.0, 3.0), rotation=(0.1, -0.2, 0.3))
     one = Position.beside(Series(station=station), table(reported), first=False)
-    one = one.registered(points, np.zeros((6, 3, 3)), table(reported))
+    one = one.registered(points, no_links, table(reported))
     turn, origin = frame(np.array([1.0, 2.0, 3.0, 0.1, -0.2, 0.3]))
     assert one.declared == ()
     np.testing.assert_allclose(error(one, np.zeros(0), points, table(reported)), (points - origin) @ turn - reported)
@@ -98,7 +98,7 @@ def test_a_new_session_is_lacking_until_it_is_added():
     points, reported = rng.normal(size=(2, 8, 3))
     rows = table(reported, ["mon", "tue"] * 4)
     series = Series(station=Station("A", by_session=True))
-    one = Position.of(series, rows).registered(points, np.zeros((8, 3, 3)), rows)
+    one = Position.of(series, rows).registered(points, no_links, rows)
     new = table(reported, ["mon", "wed"] * 4)
     assert not one.lacks(rows)
     assert one.lacks(new)

@@ -10,7 +10,7 @@ import pytest
 from calflow.measurements.series import Series
 from calflow.observations import Seen
 from calflow.observations.same_point import SamePoint
-from observations.graph import error, through_json, turned
+from observations.graph import error, no_links, through_json, turned
 
 NAMES = [("left", "0"), ("left", "1"), ("right", "0"), ("right", "1")]
 AT = {name: np.array([k, 0.1 * k, -0.2 * k]) for k, name in enumerate(NAMES, start=1)}
@@ -47,7 +47,7 @@ def test_two_sockets_stand_their_known_distance_apart(sd):
     rows = table(NAMES)
     points = np.array([AT[name] for name in NAMES])
     said = {"distance": 0.05} | ({"distance_sd": sd} if sd else {})
-    one = SamePoint.of(Series.of("", "same-point", said), rows).registered(points, np.zeros((4, 3, 3)), rows)
+    one = SamePoint.of(Series.of("", "same-point", said), rows).registered(points, no_links, rows)
     p = 0.3 * rng.normal(size=len(one.declared))
     each = 6 if sd else 5
     assert len(p) == 2 * each
@@ -74,7 +74,7 @@ def test_a_new_socket_is_lacking_until_it_is_added():
     known, new = table(NAMES[:2]), table(NAMES)
     points = np.array([AT[name] for name in NAMES])
     said = Series.of("", "same-point", {"distance": 0.05})
-    one = SamePoint.of(said, known).registered(points[:2], np.zeros((2, 3, 3)), known)
+    one = SamePoint.of(said, known).registered(points[:2], no_links, known)
     assert one.lacks(new)
     assert not one.lacks(known)
     wider = one.extended(new)
@@ -100,7 +100,7 @@ def test_sockets_on_a_link_move_with_it():
     own = np.array([0.1, -0.2, 0.3])
     points, rows = np.einsum("nij,j->ni", links[:, :3, :3], own) + links[:, :3, 3], pd.DataFrame({"socket": ["a"] * 5})
     cup = SamePoint.of(Series.of("", "same-point", {"on": "hand"}), rows)
-    cup = cup.registered_on(lambda name: links, points, np.zeros((5, 3, 3)), rows)
+    cup = cup.registered(points, lambda name: links, rows)
     np.testing.assert_allclose(cup.nominal[0][:3], own, atol=1e-12)
     for at, point in zip(links, points, strict=True):
         seen = Seen(

@@ -15,7 +15,7 @@ from calflow.observations.sphere import Sphere
 from calflow.robot.parts import Base
 from hidden.devices import Arm, measured, rows
 from hidden.trials import calibrated, error_of_tool
-from observations.graph import error, through_json
+from observations.graph import error, no_links, through_json
 from robots import ur10
 
 CENTRE, RADIUS = np.array([0.5, 0.2, -0.1]), 0.04
@@ -50,7 +50,7 @@ def test_a_sphere_is_laid_through_its_points(radius):
     points = np.vstack([on_sphere(rng, 8), on_sphere(rng, 8, 0.003)])
     table = pd.DataFrame({"reading": np.repeat([0.0, 0.003], 8)})
     settings = {} if radius is None else {"radius": radius}
-    ball = Sphere.of(Series.of("", "sphere", settings), table).registered(points, np.zeros((16, 3, 3)), table)
+    ball = Sphere.of(Series.of("", "sphere", settings), table).registered(points, no_links, table)
     np.testing.assert_allclose(error(ball, np.zeros(len(ball.declared)), points, table), 0, atol=1e-8)
     assert ball.radius == pytest.approx(RADIUS, abs=1e-8)
     assert len(ball.declared) == (3 if radius else 4)
@@ -61,9 +61,9 @@ def test_a_new_sphere_leaves_the_known_ones_and_their_radius():
     """Fails if an unknown sphere goes unseen, or adding it moves what was found before."""
     rng = np.random.default_rng(3)
     points, (known, new) = on_sphere(rng, 8), (pd.DataFrame({"sphere": [name] * 8}) for name in "ab")
-    ball = Sphere.of(Series("", "sphere"), known).registered(points, np.zeros((8, 3, 3)), known)
+    ball = Sphere.of(Series("", "sphere"), known).registered(points, no_links, known)
     assert ball.lacks(new)
-    wider = ball.extended(new).registered(points + 0.3 * (points - CENTRE), np.zeros((8, 3, 3)), new)
+    wider = ball.extended(new).registered(points + 0.3 * (points - CENTRE), no_links, new)
     assert wider.radius == ball.radius
     assert wider.placements | ball.placements == wider.placements
     assert not wider.lacks(new)

@@ -23,7 +23,7 @@ from calflow.diagnosis.cause_tables import CandidateRow
 from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.findings import Finding
 from calflow.diagnosis.misfit import MisfitRegion
-from calflow.effects.base import ASKED, NEEDS
+from calflow.effects.base import NEEDS
 from calflow.effects.wording import NamedCause
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.certainty import Certainty, MissedPose
@@ -187,7 +187,7 @@ UNREPEATED = Finding(status="unexplained", statement="", inputs=("pose", "q3", "
 
 
 def candidates(*asked: str) -> pd.DataFrame:
-    rows = [CandidateRow(cause="thermal-growth", lacking=ASKED[need].words, asked=(need,)) for need in asked]
+    rows = [CandidateRow(cause="thermal-growth", lacking=NEEDS[need].words, asked=(need,)) for need in asked]
     return to_frame(rows, CandidateRow)
 
 
@@ -564,7 +564,7 @@ def test_all_that_is_to_be_measured_is_one_step() -> None:
     )
     assert "(joints 2 and 3)" in session.sentence
     assert "apply a known side force" in session.sentence
-    assert session.keys == f"or state sigma_mm; {ASKED['warmth'].words}"
+    assert session.keys == f"or state sigma_mm; {NEEDS['warmth'].words}"
     (later,) = advice(results({**QUIET, **silent, **diagnosed()}))
     assert later.sentence.startswith("If you measure again: about 4 poses")
 

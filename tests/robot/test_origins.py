@@ -10,6 +10,7 @@ import pytest
 
 import robots
 from calflow.effects.geometry import Geometry
+from calflow.estimation.identifiability import redundant
 from calflow.robot.frames import LISTED, Axis, FrameOrigin, about, joint_frame, origins_left_out, placement, rpy_of
 from calflow.robot.mechanism import Deflection, nominal_dimensions, pose, symbols_like
 from calflow.robot.robot import Robot
@@ -63,8 +64,8 @@ def test_what_is_left_out_is_named(tmp_path: Path) -> None:
     figures = {
         f"joint{i}.{s.symbol}" for i, f in enumerate(robot.frames, start=1) for s in f.steps if s.symbol in LISTED
     }
-    assert set(Geometry(robot).left_out) == figures - names
-    assert Geometry(robots.ur10()).left_out == ()
+    assert set(redundant(robot)["figure"]) == figures - names
+    assert redundant(robots.ur10()).empty
 
 
 def test_the_first_joints_origin_is_the_bases_and_a_slide_has_a_direction_only() -> None:

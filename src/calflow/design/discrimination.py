@@ -19,7 +19,7 @@ from calflow.diagnosis.screening import Score
 from calflow.diagnosis.trial import Detection
 from calflow.diagnosis.verdict import Rival, Verdict, named
 from calflow.effects import effect_class
-from calflow.effects.base import ASKED
+from calflow.effects.base import NEEDS
 from calflow.effects.cause import Cause
 from calflow.effects.wording import cause_words
 from calflow.estimation.least_squares import LeastSquares
@@ -174,7 +174,7 @@ def _told_by(rival: Rival) -> str:
 def _means_untested(rival: Rival, fitted: Fitted) -> str:
     """Return what to do at the robot about a rival that the data cannot test, by what they lack, in plain words."""
     robot, data, kind = fitted.data.robot, fitted.data, effect_class(rival.id)
-    asks = " and ".join(ASKED[need].plain for need in kind.asks(robot, data)) if kind else ""
+    asks = " and ".join(NEEDS[need].plain for need in kind.asks(robot, data)) if kind else ""
     lacking = asks or (kind.lacking(robot, data) if kind else "")
     return f"tell them apart by {lacking}" if lacking else _told_by(rival) or ANY_MEANS
 

@@ -18,7 +18,7 @@ from typing import Generic, Protocol, Self, TypeVar
 import numpy as np
 
 from calflow.effects import Effect
-from calflow.effects.cause import Cause, parts
+from calflow.effects.cause import Cause
 from calflow.estimation.fit import Fit
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.probing import Probe
@@ -371,4 +371,6 @@ def _places(effect: Effect) -> tuple[Candidate[Cause], ...]:
     """Return the candidates of one effect; cached, as their causes keep what they state."""
     if isinstance(effect, Cause):
         return (Candidate(effect, np.arange(len(effect.declared))),)
-    return tuple(Candidate(Cause(effect.robot, effect, part), columns) for part, columns in parts(effect).items())
+    return tuple(
+        Candidate(Cause(effect.robot, effect, part), np.array(columns)) for part, columns in effect.parts.items()
+    )

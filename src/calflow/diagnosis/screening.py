@@ -21,7 +21,6 @@ import scipy
 
 from calflow.diagnosis.regressors import Candidate, H, Place, Regressors
 from calflow.effects import Effect, catalogue, effect_class
-from calflow.effects.cause import parts
 from calflow.estimation.variance_components import LOG_PRIOR, SIZES, directions, explained, log_likelihood, mixed
 from calflow.measurements.measurements import Measurements
 
@@ -46,7 +45,7 @@ class Catalogue:
     @cached_property
     def variants(self) -> dict[Place, int]:
         """Number of forms of each place."""
-        return dict(Counter((effect.id, part) for effect in self.effects for part in parts(effect)))
+        return dict(Counter((effect.id, part) for effect in self.effects for part in effect.parts))
 
     def untestable(self, cause: str) -> dict[str, str]:
         """Return the ids of effects that may underlie a cause (id) that was found but could not be tested, with what each needs."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -135,14 +135,11 @@ class AxisStraightness(Effect):
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
         """Return the deflection with the carriages displaced."""
         bearing = ca.SX(still.bearing)
-        for i, amplitudes in zip(self._rails, self._split(p), strict=True):
+        for i, columns in zip(self._rails, self.parts.values(), strict=True):
             curve = ca.vertcat(*(wave.value for wave in self._curve(state.q[i], i)))
-            off = ca.reshape(amplitudes, 6 if self.turning else 3, curve.numel()) @ curve
+            off = ca.reshape(p[columns], 6 if self.turning else 3, curve.numel()) @ curve
             bearing[: off.numel(), i] = about_carriage(self.robot, i, off, state)
         return replace(still, bearing=bearing)
-
-    def _split(self, p: ca.SX) -> Iterator[ca.SX]:
-        return iter(ca.vertsplit(p, p.numel() // len(self._rails)) if self._rails else ())
 
     variable = joint_variable
 

@@ -1,7 +1,7 @@
 """Base classes of effects (physical causes of error), what they need, and their catalogue.
 
 `Effect` is a cause with its parameters, `JointError` an error of joint readings, `ActingEffect` one that acts as another.
-`NEEDS` lists the requirements on robot file and data, `SHOWN` the kinds of rows in which effects show.
+`NEEDS` lists the requirements on robot file and data.
 """
 
 from __future__ import annotations
@@ -116,6 +116,12 @@ NEEDS = {
     "temperature": _recorded("a column temperature_degC", "the temperature at each reading", "temperature"),
     "order": _recorded("rows in measuring order", "in which order poses are measured", "order"),
     "session": _recorded("a column session", "in which session each pose is measured", "session"),
+    "warmth": Need(
+        "a column temperature_degC (that changes), or time_s",
+        "the time of each reading, or the temperature as it changes",
+        lambda robot, given: "temperature" in given or "time" in given,
+        recorded=True,
+    ),
     "slide": Need(
         "a prismatic joint in the robot file",
         "a linear axis",
@@ -132,28 +138,6 @@ NEEDS = {
         "the device's place, tracker_mm in the study's [measurements]", "where the instrument stands", "range"
     ),
 }
-
-
-@dataclass(frozen=True)
-class ShownBy:
-    """The kind of rows in which an effect shows, in words, with a test of the data; plain: the question to the user."""
-
-    words: str
-    by: Callable[[Measurements], bool]
-    plain: str = ""
-    recorded: bool = True
-
-
-SHOWN = {
-    "": ShownBy("", lambda data: True),
-    "warmth": ShownBy(
-        "a column temperature_degC (that changes), or time_s",
-        lambda data: data.temperature_changes or "time" in data.given,
-        "the time of each reading, or the temperature as it changes",
-    ),
-}
-# All that a test may ask for, by id.
-ASKED: Mapping[str, Need | ShownBy] = {**NEEDS, **SHOWN}
 
 
 def unmet_needs(needs: tuple[str, ...], robot: Robot, given: tuple[str, ...]) -> tuple[str, ...]:
@@ -248,7 +232,6 @@ class Effect(ABC):
     title: ClassVar[str]
     forms: ClassVar[Mapping[Any, str]] = {}  # admissible values of its one field besides the robot, each in words
     needs: ClassVar[tuple[str, ...]] = ()  # requirements on robot and data: keys of `NEEDS`
-    shown_by: ClassVar[str] = ""  # kind of rows in which it shows: a key of `SHOWN`
     imaged: ClassVar[bool | None] = None  # whether it is of a camera or its target, or of another device
     stands_in: ClassVar[str] = ""  # id of the effect that replaces it where the masses are known
     family: ClassVar[str] = ""  # name used when the data do not distinguish it from other members of its family
@@ -264,6 +247,7 @@ class Effect(ABC):
     side_by_side: ClassVar[bool] = False  # whether two variants (two orders, say) may act at the same place
     dated: ClassVar[bool] = False  # whether its detail says since when it acts
     grows_with: ClassVar[str] = ""  # for noise: the condition of a row with which it grows
+    unnamed: ClassVar[tuple[str, ...]] = ()  # fields without a place in its variant's name: they follow from the data
 
     @abstractmethod
     def parameters(self) -> tuple[Parameter, ...]:
@@ -273,6 +257,14 @@ class Effect(ABC):
     def declared(self) -> tuple[Parameter, ...]:
         """The parameters, labelled with this effect and variant."""
         return _declared(self)
+
+    @cached_property
+    def parts(self) -> dict[str, list[int]]:
+        """For each part, the indices of its parameters."""
+        found = dict[str, list[int]]()
+        for k, parameter in enumerate(self.declared):
+            found.setdefault(parameter.part, []).append(k)
+        return found
 
     @property
     def figures(self) -> dict[str, Any]:
@@ -298,8 +290,9 @@ class Effect(ABC):
 
     @property
     def variant(self) -> str:
-        """Short name of the variant, e.g. `order 2`: its nonzero figures; empty where there are none."""
-        return " ".join(text for name, value in self.figures.items() if (text := _figure(name, value)))
+        """Short name of the variant, e.g. `order 2`: its nonzero figures, except `unnamed` ones; empty where there are none."""
+        named = {name: value for name, value in self.figures.items() if name not in self.unnamed}
+        return " ".join(text for name, value in named.items() if (text := _figure(name, value)))
 
     @classmethod
     def stated(cls, robot: Robot, data: Measurements) -> Self:
@@ -324,12 +317,12 @@ class Effect(ABC):
     @classmethod
     def lacking(cls, robot: Robot, data: Measurements) -> str:
         """Return, in words, what the data lack for a test of this effect; empty where nothing is missing."""
-        return ", ".join(ASKED[need].words for need in cls.asks(robot, data)) or cls.unfit(robot, data)
+        return ", ".join(NEEDS[need].words for need in cls.asks(robot, data)) or cls.unfit(robot, data)
 
     @classmethod
     def asks(cls, robot: Robot, data: Measurements) -> tuple[str, ...]:
-        """Return the unmet needs, by their keys in `ASKED`: its own, else that of rows that can show it."""
-        return unmet_needs(cls.needs, robot, data.given) or (() if SHOWN[cls.shown_by].by(data) else (cls.shown_by,))
+        """Return the unmet needs of a test of this effect, by their keys in `NEEDS`."""
+        return unmet_needs(cls.needs, robot, data.given)
 
     @classmethod
     def unfit(cls, robot: Robot, data: Measurements) -> str:
@@ -562,6 +555,16 @@ def _flaw(effect: type[Effect]) -> str:
     return f"it needs {' and '.join(unknown)}; expected some of {', '.join(NEEDS)}" if unknown else ""
 
 
+def _asked(question: str) -> Any:
+    """Return a method that the effect it acts as answers (`concerns`, say)."""
+
+    def ask(self: ActingEffect, *about: Any) -> Any:
+        """Return what the effect that acts says."""
+        return getattr(self.acting(ca.SX(len(self.declared), 1))[0], question)(*about)
+
+    return ask
+
+
 def _delegated(place: str) -> Any:
     """Return a method that delegates an effect's action (`deflection`, say) to the effect it acts as."""
 
@@ -581,32 +584,11 @@ class ActingEffect(Effect):
     def acting(self, p: ca.SX) -> tuple[Effect, ca.SX]:
         """Return the effect that acts and its parameters, given the column vector of this effect's."""
 
-    def completing(self, data: Measurements) -> tuple[Effect, ...]:
-        """Return those of the effect that acts."""
-        return self._acting_effect.completing(data)
-
-    def concerns(self, device: str) -> bool:
-        """Whether the effect that acts does."""
-        return self._acting_effect.concerns(device)
-
-    def undecided(self, data: Measurements) -> np.ndarray:
-        """Return those of the effect that acts."""
-        return self._acting_effect.undecided(data)
-
-    def is_noise(self) -> bool:  # type: ignore[override]
-        """Whether the effect that acts is noise."""
-        return self._acting_effect.is_noise()
-
-    def of_measuring(self) -> bool:  # type: ignore[override]
-        """Whether the effect that acts belongs to the measuring."""
-        return self._acting_effect.of_measuring()
-
-    @property
-    def _acting_effect(self) -> Effect:
-        return self.acting(ca.SX(len(self.declared), 1))[0]
-
-    dimensions, loads, torque, deflection, device, target = map(
-        _delegated, ("dimensions", "loads", "torque", "deflection", "device", "target")
+    completing, concerns, undecided, is_noise, of_measuring = map(
+        _asked, ("completing", "concerns", "undecided", "is_noise", "of_measuring")
+    )
+    dimensions, loads, torque, deflection, device, target, scatter = map(
+        _delegated, ("dimensions", "loads", "torque", "deflection", "device", "target", "scatter")
     )
 
 

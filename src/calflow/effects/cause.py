@@ -4,15 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Self
+from operator import attrgetter
+from typing import Any, Self
 
 import casadi as ca
 import numpy as np
 
 from calflow.effects.base import ActingEffect, Effect
 from calflow.measurements.measurements import Measurements
-from calflow.robot.mechanism import Row
 from calflow.robot.parts import Parameter
+
+
+def _of_its_effect(name: str) -> Any:
+    """Return a property that is the effect's."""
+    return property(attrgetter(f"effect.{name}"))
 
 
 @dataclass(frozen=True)
@@ -21,6 +26,8 @@ class Cause(ActingEffect):
 
     effect: Effect
     part: str
+
+    variant, family, alike, needs = map(_of_its_effect, ("variant", "family", "alike", "needs"))
 
     @property
     def id(self) -> str:  # type: ignore[override]
@@ -35,14 +42,8 @@ class Cause(ActingEffect):
     @property
     def detail(self) -> str:
         """The effect's variant in words, preceded by the part where neither joint nor name implies it."""
-        alone = all(parameter.part == self.part for parameter in self.effect.declared)
-        part = "" if alone or self.joint or self.part == self.effect.whole else self.part
+        part = "" if len(self.effect.parts) == 1 or self.joint or self.part == self.effect.whole else self.part
         return ", ".join(filter(None, (part, self.effect.detail_at(self.joint))))
-
-    @property
-    def variant(self) -> str:
-        """The effect's variant in short."""
-        return self.effect.variant
 
     @property
     def joint(self) -> int:
@@ -68,21 +69,6 @@ class Cause(ActingEffect):
         """Lower and upper bounds of the parameters relative to nominal, shape (2, n_parameters)."""
         return np.array([(p.lower - p.nominal, p.upper - p.nominal) for p in self.declared]).T
 
-    @property
-    def family(self) -> str:  # type: ignore[override]
-        """The effect's family."""
-        return self.effect.family
-
-    @property
-    def alike(self) -> tuple[str, ...]:  # type: ignore[override]
-        """Ids of the effects that no pose distinguishes from it."""
-        return self.effect.alike
-
-    @property
-    def needs(self) -> tuple[str, ...]:  # type: ignore[override]
-        """What the effect needs of robot and data."""
-        return self.effect.needs
-
     def same_form(self, other: Cause) -> bool:
         """Whether another cause is this one, in this variant or in one that excludes it."""
         return self.place == other.place and self.effect.same_as(other.effect)
@@ -94,25 +80,17 @@ class Cause(ActingEffect):
     @cached_property
     def declared(self) -> tuple[Parameter, ...]:
         """The part's parameters, as the effect names them."""
-        return tuple(parameter for parameter in self.effect.declared if parameter.part == self.part)
-
-    @cached_property
-    def _indices(self) -> list[int]:
-        return [k for k, parameter in enumerate(self.effect.declared) if parameter.part == self.part]
+        return tuple(self.effect.declared[k] for k in self.effect.parts[self.part])
 
     def acting(self, p: ca.SX) -> tuple[Effect, ca.SX]:
         """Return the effect and all its parameters, those of other parts zero."""
         whole = ca.SX(len(self.effect.declared), 1)
-        whole[self._indices] = p
+        whole[self.effect.parts[self.part]] = p
         return self.effect, whole
 
     def size_of(self, p: ca.SX) -> ca.SX:
         """Return the size of the part's parameters, as findings state it."""
         return self.effect.size(p, self.declared)
-
-    def scatter(self, p: ca.SX, row: Row) -> ca.SX | float:
-        """Return the effect's contribution to the standard deviation."""
-        return self.effect.scatter(self.acting(p)[1], row)
 
 
 @dataclass(frozen=True)
@@ -140,9 +118,3 @@ class Carried(ActingEffect):
     def acting(self, p: ca.SX) -> tuple[Effect, ca.SX]:
         """Return the cause and its fixed values."""
         return self.cause, ca.SX(ca.DM(self.values))
-
-
-def parts(effect: Effect) -> dict[str, np.ndarray]:
-    """Return, for each part, the indices of its parameters."""
-    named = [parameter.part for parameter in effect.declared]
-    return {part: np.flatnonzero(np.array(named) == part) for part in dict.fromkeys(named)}

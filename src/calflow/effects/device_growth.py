@@ -32,6 +32,7 @@ class DeviceGrowth(Warming):
 
     left: float = REFERENCE
 
+    unnamed = (*Warming.unnamed, "left")
     whole = "device"
     family = OF_THE_FRAME
     taken_for = ()  # what it is mistaken for is of its family
@@ -50,11 +51,6 @@ class DeviceGrowth(Warming):
         if self.constant:
             return replace(self, left=float(data.table["time"].max()))
         return replace(self, left=float(data.table["temperature"].mean())) if "temperature" in data.given else self
-
-    @property
-    def variant(self) -> str:
-        """Short name of the form, without how it was left, which comes from the data."""
-        return super(DeviceGrowth, replace(self, left=0.0)).variant
 
     @property
     @abstractmethod

@@ -6,16 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
 
-import casadi as ca
-
 from calflow.effects.base import JOINT_ALONE, NEEDS, TRANSMISSION, JointError, Term, Words
-from calflow.effects.warming import REFERENCE
+from calflow.effects.warming import warmer
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Row, State
 from calflow.robot.robot import Robot
 
-WARMER = 10.0  # K above 20 degC at which a temperature-dependent excess is stated
-EXPANSION_SD = 2e-4  # m/m in these: twice steel's
+EXPANSION_SD = 2e-4  # m/m in 10 K: twice steel's
 
 
 @dataclass(frozen=True)
@@ -50,5 +47,4 @@ class GearRatioError(JointError):
             return [Term("kappa", unit, 1e-3, 0.1, state.q[joint])]
         if self.robot.joints[joint].kind != "prismatic":
             return []
-        warmth = (row.temperature - REFERENCE) / WARMER if row.temperature.nnz() else ca.SX(0)
-        return [Term("kappa", "m/m", EXPANSION_SD, 0.01, warmth * state.q[joint])]
+        return [Term("kappa", "m/m", EXPANSION_SD, 0.01, warmer(row) * state.q[joint])]

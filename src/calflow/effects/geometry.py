@@ -10,7 +10,7 @@ from typing import Self
 import casadi as ca
 
 from calflow.effects.base import Effect, Words
-from calflow.robot.frames import origins_left_out, placement
+from calflow.robot.frames import placement
 from calflow.robot.mechanism import Dimensions, Row
 from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
@@ -79,11 +79,7 @@ class Geometry(Effect):
     title = "geometry (link lengths, twists and offsets, base, tool)"
     words = Words("geometry error", "a length or an angle is not what the robot file says", "size")
     tag = ""
-
-    @property
-    def variant(self) -> str:
-        """None: a figure is the same parameter whether or not it counts as stated."""
-        return ""
+    unnamed = ("unstated", "tool_as_stated")  # a figure is the same parameter whether or not it counts as stated
 
     def without_mistaken(self, at_bound: Iterable[Parameter]) -> Geometry:
         """Return the effect for which no figure of a kind counts as stated, if one of these parameters is mistaken in it.
@@ -121,12 +117,6 @@ class Geometry(Effect):
             shift = moved.markers[:, k] - dims.markers[:, k]
             markers[:, k] = first + turn @ (dims.markers[:, k] - dims.markers[:, 0]) + shift
         return replace(moved, markers=markers)
-
-    @property
-    def left_out(self) -> tuple[str, ...]:
-        """Figures of joints stated by full origins that are no parameters, since others act identically in every pose."""
-        frames = enumerate(self.robot.frames, start=1)
-        return tuple(f"joint{i}.{symbol}" for i, frame in frames for symbol in origins_left_out(frame))
 
     @cached_property
     def errors(self) -> tuple[DimensionError, ...]:

@@ -12,7 +12,6 @@ import numpy as np
 
 from calflow.effects.base import NOTHING, WINDUP_BOUND, WINDUP_SD, Effect, Words, joint_variable
 from calflow.effects.base_tilt import Arm
-from calflow.effects.cause import parts
 from calflow.measurements.measurements import Measurements
 from calflow.robot.frames import apply
 from calflow.robot.mechanism import (
@@ -134,9 +133,9 @@ class GravityDeflection(Effect):
 
     def _centres(self, p: ca.SX, stated: ca.SX) -> ca.SX:
         """Return the payloads' centres, those of unknown mass shifted from where the robot file states them."""
-        centres, own, names = ca.SX(stated), parts(self), list(self.robot.payloads)
+        centres, names = ca.SX(stated), list(self.robot.payloads)
         for k in self._unknown.values():
-            centres[:, k] += p[own[f"payload {names[k]}"].tolist()]
+            centres[:, k] += p[self.parts[f"payload {names[k]}"]]
         return centres
 
     def size(self, p: ca.SX, own: Sequence[Parameter]) -> ca.SX:

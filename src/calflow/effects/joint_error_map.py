@@ -44,6 +44,7 @@ class JointErrorMap(JointError):
     )
     family = TRANSMISSION
     told_by = JOINT_ALONE
+    unnamed = ("low", "high")
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
@@ -62,11 +63,6 @@ class JointErrorMap(JointError):
     def detail(self) -> str:
         """The correlation length."""
         return f"alike over {self.length:g} rad"
-
-    @property
-    def variant(self) -> str:
-        """Short name of the form, without the travels, which come from the data."""
-        return f"length {self.length:g}"
 
     def travel(self, joint: int) -> Travel | None:
         """Return the travel that the data cover."""

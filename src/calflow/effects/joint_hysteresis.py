@@ -10,7 +10,6 @@ import numpy as np
 
 from calflow.effects.base import LOST_MOTION, REVERSALS, JointError, Term, Variable, Words
 from calflow.robot.mechanism import Row, State
-from calflow.robot.parts import Joint
 
 LENGTHS = np.deg2rad([1.0, 2.0, 4.0, 8.0, 16.0])  # rad (prismatic: m): transition lengths searched
 
@@ -37,14 +36,12 @@ class JointHysteresis(JointError):
     @property
     def detail(self) -> str:
         """The travel over which it develops, of all kinds of joints."""
-        return self._developed(self.robot.joints)
+        return self.detail_at(0)
 
     def detail_at(self, joint: int) -> str:
-        """Return the travel over which it develops."""
-        return self._developed(self.robot.joints[joint - 1 : joint])
-
-    def _developed(self, joints: Sequence[Joint]) -> str:
-        shown = dict.fromkeys(joint.shown for joint in joints)
+        """Return the travel over which it develops, at a joint or (0) at all kinds of them."""
+        joints = self.robot.joints[joint - 1 : joint] if joint else self.robot.joints
+        shown = dict.fromkeys(moved.shown for moved in joints)
         return f"developed after {' or '.join(f'{factor * self.length:.3g} {unit}' for unit, factor in shown)}"
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:

@@ -6,17 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
-import casadi as ca
-
 from calflow.effects.base import TRANSMISSION, JointError, Term, Words, phases, unmet
-from calflow.effects.warming import REFERENCE
+from calflow.effects.warming import warmer
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Row, State
 from calflow.robot.robot import Robot
 
 ORDERS = (1, 2)  # per revolution of the joint, searched
 MULTIPLES = 2  # per revolution of the motor, at most
-WARMER = 10.0  # K above 20 degC at which a temperature-dependent amplitude is stated
 
 
 @dataclass(frozen=True)
@@ -83,9 +80,5 @@ class LoadedTransmissionError(JointError):
             return []
         sd = 1.5e-4 if self.geared else 3e-4
         waves = phases(self.order * ratio * state.q[joint], self.unit(joint), sd, 10e-3)
-        return [replace(wave, value=wave.value * self._load(joint, state, row)) for wave in waves]
-
-    def _load(self, joint: int, state: State, row: Row) -> ca.SX:
-        if self.warm:
-            return (row.temperature - REFERENCE) / WARMER if row.temperature.nnz() else ca.SX(0)
-        return self.load(joint, state)
+        load = warmer(row) if self.warm else self.load(joint, state)
+        return [replace(wave, value=wave.value * load) for wave in waves]

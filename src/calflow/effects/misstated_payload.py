@@ -12,10 +12,11 @@ from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
 
 
-def loaded(robot: Robot) -> list[str]:
-    """Return the payloads that have an individual error: those with mass, if there are several."""
-    heavy = [name for name, load in robot.payloads.items() if load.mass]
-    return heavy if len(heavy) > 1 else []
+def erring(robot: Robot) -> dict[str, ca.DM]:
+    """Return, by part, which payloads (n_payloads,) have an error: all a common one, and each with mass, if several, its own."""
+    each, heavy = ca.DM.eye(len(robot.payloads)), [k for k, load in enumerate(robot.payloads.values()) if load.mass]
+    own = {list(robot.payloads)[k]: each[:, k] for k in heavy} if len(heavy) > 1 else {}
+    return {"payloads": ca.DM.ones(len(robot.payloads)), **own}
 
 
 @dataclass(frozen=True)
@@ -33,15 +34,12 @@ class PayloadMass(Effect):
         """Return the common relative error, and that of each payload if there are several."""
         return tuple(
             Parameter(self.id, part, "e", "1", 0.2, -0.9, 2.0, meaning=f"error of the mass of {part}")
-            for part in ("payloads", *loaded(self.robot))
+            for part in erring(self.robot)
         )
 
     def loads(self, p: ca.SX, loads: Loads, row: Row) -> Loads:
         """Return the loads with the payloads' masses scaled."""
-        names, factor = list(self.robot.payloads), ca.SX.ones(len(self.robot.payloads), 1) * (1 + p[0])
-        for k, name in enumerate(loaded(self.robot)):
-            factor[names.index(name)] += p[k + 1]
-        return replace(loads, payload_mass=loads.payload_mass * factor)
+        return replace(loads, payload_mass=loads.payload_mass * (1 + ca.horzcat(*erring(self.robot).values()) @ p))
 
     variable = payload_variable
 
@@ -65,16 +63,13 @@ class PayloadCom(Effect):
         """Return the common shift, and that of each payload if there are several."""
         return tuple(
             Parameter(self.id, part, axis, "m", 0.05, -0.5, 0.5, meaning=f"{axis} of the centre of {part}")
-            for part in ("payloads", *loaded(self.robot))
+            for part in erring(self.robot)
             for axis in "xyz"
         )
 
     def loads(self, p: ca.SX, loads: Loads, row: Row) -> Loads:
         """Return the loads with the payloads' centres shifted."""
-        names, shifts = list(self.robot.payloads), ca.reshape(p, 3, -1)
-        centres = loads.payload_com + ca.repmat(shifts[:, 0], 1, len(names))
-        for k, name in enumerate(loaded(self.robot)):
-            centres[:, names.index(name)] += shifts[:, k + 1]
-        return replace(loads, payload_com=centres)
+        shifts = ca.reshape(p, 3, -1) @ ca.horzcat(*erring(self.robot).values()).T
+        return replace(loads, payload_com=loads.payload_com + shifts)
 
     variable = payload_variable

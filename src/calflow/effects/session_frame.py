@@ -9,7 +9,7 @@ from typing import Self
 import casadi as ca
 import numpy as np
 
-from calflow.effects.base import OF_THE_FRAME, Effect, Words, displaced
+from calflow.effects.base import NOTHING, OF_THE_FRAME, Effect, Words, displaced
 from calflow.measurements.measurements import Measurements, borders, sessions_of
 from calflow.robot.mechanism import Row, name_number
 from calflow.robot.parts import Parameter
@@ -93,14 +93,11 @@ class SessionFrame(Effect):
 
     def size(self, p: ca.SX, own: Sequence[Parameter]) -> ca.SX:
         """Return the largest shift of a session."""
-        each = self._frames(p)
-        largest = ca.SX(0)
-        for frame in each:
-            largest = ca.fmax(largest, super().size(frame[:3], own[:3]))
-        return largest
+        return ca.mmax(ca.sqrt(ca.sum1(self._frames(p)[:3, :] ** 2) + NOTHING))
 
-    def _frames(self, p: ca.SX) -> Iterator[ca.SX]:
-        return iter(ca.vertsplit(p, 6 if self.turning else 3)) if p.numel() else iter(())
+    def _frames(self, p: ca.SX) -> ca.SX:
+        """Return each frame's shift, and rotation, (3 or 6, n_frames)."""
+        return ca.reshape(p, 6 if self.turning else 3, len(self._moved))
 
     def concerns(self, device: str) -> bool:
         """Whether it is of this device."""
@@ -110,10 +107,8 @@ class SessionFrame(Effect):
         """Return the point, displaced by its session's frame."""
         if not row.session.nnz():
             return point
-        return point + sum(
-            (self._within(name, row) * displaced(frame, point) for name, frame in zip(self._moved, self._frames(p), strict=True)),
-            ca.SX(3, 1),
-        )  # fmt: skip
+        within = ca.vertcat(ca.SX(0, 1), *(self._within(name, row) for name in self._moved))
+        return point + displaced(self._frames(p) @ within, point)
 
     def _within(self, session: str, row: Row) -> ca.SX:
         """Return 1 for a row of the session, or of a later one that shares its frame, else 0."""

@@ -33,6 +33,7 @@ class StepChange(Effect):
 
     needs: ClassVar[tuple[str, ...]] = ("order",)
     dated: ClassVar[bool] = True
+    unnamed: ClassVar[tuple[str, ...]] = ("after",)  # the moment says as much
     shift_sd: ClassVar[float] = 3e-4  # m
     turn_sd: ClassVar[float] = 1e-4  # rad
 
@@ -96,11 +97,6 @@ class StepChange(Effect):
         between = (first[1:] + last[:-1]) / 2
         between = between[(between > begun[FEWEST - 1]) & (between < ended[-FEWEST])]
         return between[~np.isin(between, borders(data))] if cls.family == OF_THE_FRAME else between
-
-    @property
-    def variant(self) -> str:
-        """Its figures, of which the moment says all of the image."""
-        return super(StepChange, replace(self, after="")).variant
 
     @property
     def detail(self) -> str:

@@ -10,7 +10,6 @@ import casadi as ca
 import numpy as np
 
 from calflow.effects.base import OF_THE_TOOL, Effect, Words, payload_variable
-from calflow.effects.cause import parts
 from calflow.robot.mechanism import Deflection, Row, State
 from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
@@ -135,11 +134,11 @@ class ToolDeflection(Effect):
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
         """Return the deflection with each flange displaced."""
         link, parts_known, robot = ca.SX(still.link), self._known, self.robot
-        for part, values in parts(self).items():
+        for part, values in self.parts.items():
             load = self._unknown.get(part)
             on = parts_known[part] if load is None else robot.payload_links[load]
             weight = state.link[:3, on] if load is None else row.payload[load] * state.down[:, robot.tools.index(on)]
-            link[:, on] += self._twist(p[values.tolist()], weight, state.link[3:, on])
+            link[:, on] += self._twist(p[values], weight, state.link[3:, on])
         return replace(still, link=link)
 
     def _twist(self, p: ca.SX, weight: ca.SX, moment: ca.SX) -> ca.SX:

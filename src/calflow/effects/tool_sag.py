@@ -11,7 +11,6 @@ import casadi as ca
 import numpy as np
 
 from calflow.effects.base import OF_THE_TOOL, Effect, Variable, Words
-from calflow.effects.cause import parts
 from calflow.effects.tool_deflection import TOOL, markers_alone, reach, tools
 from calflow.robot.mechanism import Deflection, Row, State
 from calflow.robot.parts import Parameter
@@ -87,11 +86,11 @@ class ToolSag(Effect):
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
         """Return the deflection of each tool's link; a marker's own sag acts in that marker's rows alone."""
         link, numbers = ca.SX(still.link), self.robot.tools
-        for part, values in parts(self).items():
+        for part, values in self.parts.items():
             whole = part in self._tools
             k = self._tools[part] if whole else numbers.index(self.robot.marker_links[self._markers[part]])
             acts = 1 if whole else row.marker[self._markers[part]]
-            link[:, numbers[k]] += acts * self._twist(part, p[values.tolist()], state.down[:, k])
+            link[:, numbers[k]] += acts * self._twist(part, p[values], state.down[:, k])
         return replace(still, link=link)
 
     def _twist(self, part: str, p: ca.SX, down: ca.SX) -> ca.SX:

@@ -9,7 +9,6 @@ from typing import Self
 import casadi as ca
 
 from calflow.effects.base import Words
-from calflow.effects.cause import parts
 from calflow.effects.step_change import StepChange
 from calflow.effects.tool_deflection import TOOL, markers_alone, tools
 from calflow.robot.frames import placement
@@ -64,8 +63,8 @@ class ToolSlip(StepChange):
         if not before.nnz():
             return dims
         markers, turn = ca.SX(dims.markers), dims.tool_rotation
-        for part, columns in parts(self).items():
-            own = p[columns.tolist()]
+        for part, columns in self.parts.items():
+            own = p[columns]
             for k in self._markers[part]:
                 markers[:, k] = self.undone(own, dims.markers[:, k], row)
             if self.turning and self.robot.tool_rotation is not None:

@@ -17,6 +17,7 @@ from calflow.robot.robot import Robot
 
 NEVER = ((np.inf, np.inf),)  # in place of no pause, which has fewer parameters
 REFERENCE = 293.15  # K: reference temperature of drawings (ISO 1)
+WARMER = 10.0  # K above 20 degC at which an error that is proportional to these is stated
 WARM_UPS = (900.0, 1800.0, 3600.0, 7200.0)  # s: time constants searched
 
 
@@ -32,7 +33,7 @@ class Warming(Effect):
     constant: float = 0.0
     pauses: tuple[tuple[float, float], ...] = ()
 
-    shown_by = "warmth"
+    unnamed: ClassVar[tuple[str, ...]] = ("pauses",)
     taken_for: ClassVar[tuple[str, ...]] = ("frame-drift",)
     course: ClassVar[str] = "warming up"
     told_by = "measure some poses again when the robot is cold"
@@ -45,6 +46,12 @@ class Warming(Effect):
             return forms
         rests = dict.fromkeys([(), pauses(data)])
         return (*forms, *(cls(robot, constant, rest) for rest in rests for constant in WARM_UPS))
+
+    @classmethod
+    def asks(cls, robot: Robot, data: Measurements) -> tuple[str, ...]:
+        """Return the unmet needs, among them times or temperatures that change."""
+        shown = data.temperature_changes or "time" in data.given
+        return (*super().asks(robot, data), *(() if shown else ("warmth",)))
 
     def later(self, series: Measurements | None) -> Self:
         """Return the same with the pauses of a series that has a clock of its own: it begins as warm as the fitted rows."""
@@ -65,8 +72,8 @@ class Warming(Effect):
 
     @property
     def variant(self) -> str:
-        """Short name of the form, without the pauses' times, which come from the data."""
-        return replace(self, pauses=()).variant + " anew" if self.pauses else super().variant
+        """Short name of the form, and whether there are pauses."""
+        return super().variant + " anew" * bool(self.pauses)
 
     @property
     def symbols(self) -> tuple[str, ...]:
@@ -101,3 +108,8 @@ class Warming(Effect):
         if self.constant:
             return Variable("time", "h", lambda state, row: row.time, 1 / 3600)
         return Variable("temperature above 20 degC", "K", lambda state, row: row.temperature - REFERENCE)
+
+
+def warmer(row: Row) -> ca.SX:
+    """Return a row's temperature above 20 degC over WARMER, zero where it is unknown."""
+    return (row.temperature - REFERENCE) / WARMER if row.temperature.nnz() else ca.SX(0)

@@ -82,11 +82,9 @@ def _settled(model: Model, point: np.ndarray, new: np.ndarray, data: Measurement
 
 
 def registered_on(observation: Observation, rows: Measurements, model: Model, estimate: np.ndarray) -> Observation:
-    """Return an observation with its objects placed by the rows of its series and a model (see `Observation.registered_on`)."""
-    conditions = rows.conditions
-    points, turned = model.point(estimate, conditions), model.rotation(estimate, conditions)
-    links = partial(model.link, p=estimate, conditions=conditions)
-    return observation.registered_on(links, points, turned, rows.table)
+    """Return an observation with its objects placed by the rows of its series and a model (see `Observation.registered`)."""
+    links = partial(model.link, p=estimate, conditions=rows.conditions)
+    return observation.registered(model.point(estimate, rows.conditions), links, rows.table)
 
 
 @dataclass(frozen=True, kw_only=True)

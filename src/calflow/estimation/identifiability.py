@@ -20,6 +20,7 @@ from calflow.files.problems import nearest
 from calflow.files.tables import column, to_frame, typed
 from calflow.files.words import number
 from calflow.model import build
+from calflow.robot.frames import origins_left_out
 from calflow.robot.robot import Robot
 
 NULL = 1e-9  # singular values below this share of the largest are zero but for rounding
@@ -261,11 +262,11 @@ class Redundant:
 
 def redundant(robot: Robot) -> pd.DataFrame:
     """Return the table of `Redundant` dimensions; empty where joints are not described by full origins."""
-    rows = []
-    for figure in Geometry(robot).left_out:
-        part, symbol = figure.split(".")
-        joint = int(part.removeprefix("joint"))
-        rows.append(Redundant(figure=figure, joint=joint, symbol=symbol, same=_same(robot, joint)))
+    rows = [
+        Redundant(figure=f"joint{joint}.{symbol}", joint=joint, symbol=symbol, same=_same(robot, joint))
+        for joint, frame in enumerate(robot.frames, start=1)
+        for symbol in origins_left_out(frame)
+    ]
     return to_frame(rows, Redundant)
 
 

@@ -14,7 +14,7 @@ from calflow.files.toml import Angles3, FileModel, Lengths3, Unit
 from calflow.files.units import METRE
 from calflow.measurements.rows import Reported
 from calflow.measurements.series import Series
-from calflow.observations.base import FURTHEST, Seen
+from calflow.observations.base import FURTHEST, Links, Seen
 from calflow.observations.touched import Touched
 from calflow.robot.frames import motion_onto, placement_matrix
 from calflow.robot.parts import Parameter
@@ -84,7 +84,7 @@ class Artefact(Touched):
         scale = 1 + (p[6 * n] if self._scale_sd else 0.0)
         return seen.device(seen.point) - (at[:3, 3] + at[:3, :3] @ (scale * y[:3]))
 
-    def registered(self, points: np.ndarray, rotations: np.ndarray, table: pd.DataFrame) -> Self:
+    def registered(self, points: np.ndarray, links: Links, table: pd.DataFrame) -> Self:
         """Return the observation with each artefact registered to the nominal robot's points."""
         plate_points = table[list(POINT)].to_numpy(float)
         return self.laid(table, lambda rows: motion_onto(plate_points[rows], points[rows]))

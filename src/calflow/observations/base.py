@@ -22,6 +22,7 @@ from calflow.robot.parts import Parameter
 
 Name = tuple[str, ...]
 Six = tuple[float, float, float, float, float, float]
+Links = Callable[[str], np.ndarray]  # frames (n_rows, 4, 4) of a link by name, as in `Seen.link`
 NOWHERE: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 PLACE = {"x": "m", "y": "m", "z": "m", "rx": "rad", "ry": "rad", "rz": "rad"}
 
@@ -135,15 +136,9 @@ class Observation(ABC):
         """Return the axes (n_rows, 3, 3), in the measuring frame, of three length residuals; None for the frame's own axes."""
         return None
 
-    def registered(self, points: np.ndarray, rotations: np.ndarray, table: pd.DataFrame) -> Self:
+    def registered(self, points: np.ndarray, links: Links, table: pd.DataFrame) -> Self:
         """Return the observation with its objects registered to the nominal robot's points (n_rows, 3) [m]."""
         return self
-
-    def registered_on(
-        self, links: Callable[[str], np.ndarray], points: np.ndarray, rotations: np.ndarray, table: pd.DataFrame
-    ) -> Self:
-        """Return `registered`, given also the frames (n_rows, 4, 4) of each link by name, as in `Seen.link`."""
-        return self.registered(points, rotations, table)
 
     @property
     def placements(self) -> dict[str, Six]:
@@ -165,26 +160,22 @@ class Observation(ABC):
         """Return the values expected where the robot touches the object near these points, shape (reports, n)."""
         return self.expected(points, rotations)
 
-    def in_space(
-        self, values: np.ndarray, links: Callable[[str], np.ndarray], table: pd.DataFrame, error: np.ndarray
-    ) -> np.ndarray | None:
+    def in_space(self, values: np.ndarray, links: Links, table: pd.DataFrame, error: np.ndarray) -> np.ndarray | None:
         """Return the error of each image as a displacement in space, (n_images, 3) [m]; None for other observations.
 
-        values are all parameters as declared, links as for `registered_on`, error (n_rows, n_units) predicted minus reported.
+        values are all parameters as declared, links as for `registered`, error (n_rows, n_units) predicted minus reported.
         """
         return None
 
-    def closed_forms(
-        self, values: np.ndarray, links: Callable[[str], np.ndarray], table: pd.DataFrame
-    ) -> Mapping[str, Self | str]:
+    def closed_forms(self, values: np.ndarray, links: Links, table: pd.DataFrame) -> Mapping[str, Self | str]:
         """Return the observation with its objects placed by closed-form methods, by name; for a method that fails, the reason.
 
         values and links as for `in_space`. Empty where no such method exists.
         """
         return {}
 
-    def sees(self, links: Callable[[str], np.ndarray]) -> np.ndarray | None:
-        """Return whether a row can be observed at each pose, (n_rows,), links as for `registered_on`; None: at all poses."""
+    def sees(self, links: Links) -> np.ndarray | None:
+        """Return whether a row can be observed at each pose, (n_rows,), links as for `registered`; None: at all poses."""
         return None
 
     def lacks(self, table: pd.DataFrame) -> bool:

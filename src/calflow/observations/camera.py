@@ -17,10 +17,10 @@ from calflow.files.units import PIXEL
 from calflow.measurements.measurements import image_numbers, spaced
 from calflow.measurements.rows import Reported
 from calflow.measurements.series import Series
-from calflow.observations.base import FURTHEST, NOWHERE, PLACE, UNKNOWN_BOUND, UNKNOWN_SD, Observation, Seen, Six
+from calflow.observations.base import FURTHEST, NOWHERE, PLACE, UNKNOWN_BOUND, UNKNOWN_SD, Links, Observation, Seen, Six
 from calflow.observations.hand_eye import FEWEST_IMAGE_POINTS, Sighting, camera_and_target, focal_length, sighting
 from calflow.observations.hand_eye_methods import METHODS, camera_by
-from calflow.observations.lens import DISTORTION, Lens, projected, slopes
+from calflow.observations.lens import DISTORTION, Lens, Model, projected, slopes
 from calflow.robot.frames import angles, crossing, placement, placement_matrix, vector
 from calflow.robot.parts import Parameter
 
@@ -181,8 +181,8 @@ class Camera(Observation):
         return cls(series, (_eye(series, ""),), (_target(series, "", corners),))
 
     @property
-    def _model(self) -> Literal["brown", "fisheye"]:
-        return "fisheye" if self.series.setting("lens") == "fisheye" else "brown"
+    def _model(self) -> Model:
+        return _model(self.series)
 
     def lens(self, camera: int) -> Lens:
         """Return the nominal lens of a camera, by its number."""
@@ -284,14 +284,12 @@ class Camera(Observation):
         on = str(self.series.setting(what, WORLD if what == "camera_on" else TOOL))
         return {WORLD: None, TOOL: ""}.get(on, on)
 
-    def registered_on(
-        self, links: Callable[[str], np.ndarray], points: np.ndarray, rotations: np.ndarray, table: pd.DataFrame
-    ) -> Self:
+    def registered(self, points: np.ndarray, links: Links, table: pd.DataFrame) -> Self:
         """Find lens, camera and target by what the nominal robot's links (n_rows, 4, 4) and the images agree on."""
         frames = self._frames(links, len(table))
         return self._begun(table, image_numbers(table), *frames)._settled(table, *frames)._faced(table, *frames)
 
-    def _frames(self, links: Callable[[str], np.ndarray], n_rows: int) -> tuple[np.ndarray, np.ndarray]:
+    def _frames(self, links: Links, n_rows: int) -> tuple[np.ndarray, np.ndarray]:
         """Where what camera and target are on is, of each row (n_rows, 4, 4)."""
         camera, target = (
             np.tile(np.eye(4), (n_rows, 1, 1)) if link is None else links(link)
@@ -428,17 +426,17 @@ class Camera(Observation):
         return lambda values: np.array(function(ca.DM(values), *rows))
 
     def _by(self, p: np.ndarray) -> Self:
-        """The observation about p: what is stated stays, with its error left to the fit."""
+        """The observation about p: places that are stated stay, with their errors left to the fit."""
         values = [np.array(ca.DM(figures)).ravel() for figures in _spread(self._described, ca.SX(p))]
-        n, stated = len(self.cameras), self.series.setting
-        cameras = []
-        for eye, figures in zip(self.cameras, values[:n], strict=True):
-            free = [stated("focal") is None] * 2 + [stated("centre") is None] * 2
-            free += [stated("distortion") is None] * (len(eye.lens) - 4)
-            lens = np.array(eye.lens) + np.where(free, figures[6:], 0.0)
-            cameras.append(
-                replace(eye, place=self._moved_place("camera", eye.place, figures[:6]), lens=tuple(map(float, lens)))
+        n = len(self.cameras)
+        cameras = [
+            replace(
+                eye,
+                place=self._moved_place("camera", eye.place, figures[:6]),
+                lens=tuple((np.array(eye.lens) + figures[6:]).tolist()),
             )
+            for eye, figures in zip(self.cameras, values[:n], strict=True)
+        ]
         targets = [
             replace(target, place=self._moved_place("target", target.place, figures[:6]))
             for target, figures in zip(self.targets, values[n:], strict=True)
@@ -493,12 +491,9 @@ class Camera(Observation):
         """The image's width and height [px]."""
         return np.array(_pair(self.series, "size") or 2 * np.array(self.lens(0).centre))
 
-    def sees(self, links: Callable[[str], np.ndarray]) -> np.ndarray:
+    def sees(self, links: Links) -> np.ndarray:
         """Return whether the first target is wholly in the first image, sharp, large enough and not too oblique, (n_rows,)."""
-        hand, base = (
-            np.eye(4)[None] if link is None else links(link)
-            for link in (self._link("camera_on"), self._link("target_on"))
-        )
+        hand, base = self._frames(links, 1)
         camera, target = placement_matrix(self.cameras[0].place), placement_matrix(self.targets[0].place)
         seen = np.linalg.inv(hand @ camera) @ base @ target
         local = np.array(self.targets[0].points)
@@ -517,9 +512,7 @@ class Camera(Observation):
         good &= ((shown_at > 0) & (shown_at < self._size)).all(axis=(1, 2))
         return np.asarray(good & (np.ptp(shown_at, axis=1).max(axis=1) > SMALLEST_IMAGE * self._size.min()))
 
-    def in_space(
-        self, values: np.ndarray, links: Callable[[str], np.ndarray], table: pd.DataFrame, error: np.ndarray
-    ) -> np.ndarray:
+    def in_space(self, values: np.ndarray, links: Links, table: pd.DataFrame, error: np.ndarray) -> np.ndarray:
         """Return by how much what moves is to be shifted for its image to fit best: the camera, or the target's middle."""
         rows = (*self._frames(links, len(table)), self.reported(table))
         there, figures = np.split(
@@ -535,9 +528,7 @@ class Camera(Observation):
         middle = np.stack([np.bincount(images, axis) / count for axis in there.T], axis=1)
         return moved[:, :3] + np.cross(moved[:, 3:], middle)
 
-    def closed_forms(
-        self, values: np.ndarray, links: Callable[[str], np.ndarray], table: pd.DataFrame
-    ) -> dict[str, Self | str]:
+    def closed_forms(self, values: np.ndarray, links: Links, table: pd.DataFrame) -> dict[str, Self | str]:
         """Return what the usual methods of hand-eye calibration, and a fit of their points, make of at most IMAGES images.
 
         The lens is that of values. The target is where all images together, by a method, have it on average. None where several
@@ -591,9 +582,12 @@ def _eye(series: Series, name: str) -> Eye:
     size, focal = _pair(series, "size") or (0.0, 0.0), _pair(series, "focal") or (1.0, 1.0)
     centre = _pair(series, "centre") or (size[0] / 2, size[1] / 2)
     distortion = series.setting("distortion")
-    model: Literal["brown", "fisheye"] = "fisheye" if series.setting("lens") == "fisheye" else "brown"
-    figures = Lens(model, focal, centre, distortion if isinstance(distortion, tuple) else ()).figures
+    figures = Lens(_model(series), focal, centre, distortion if isinstance(distortion, tuple) else ()).figures
     return Eye(name, _stated_place(series, "camera"), tuple(map(float, figures)))
+
+
+def _model(series: Series) -> Model:
+    return "fisheye" if series.setting("lens") == "fisheye" else "brown"
 
 
 def _target(series: Series, name: str, points: np.ndarray) -> Board:

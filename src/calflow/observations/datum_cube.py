@@ -16,7 +16,7 @@ from calflow.files.toml import Angles3, FileModel, Lengths3
 from calflow.files.units import METRE
 from calflow.measurements.rows import Reported
 from calflow.measurements.series import Series
-from calflow.observations.base import Seen
+from calflow.observations.base import Links, Seen
 from calflow.observations.touched import Surface
 from calflow.robot.frames import angles, placement_matrix
 from calflow.robot.parts import Parameter
@@ -94,7 +94,7 @@ class DatumCube(Surface):
         at = self.frame(p, y[5:])
         return ca.dot(y[1:4], at[:3, :3].T @ (seen.device(seen.point) - at[:3, 3])) - y[4] - y[0]
 
-    def registered(self, points: np.ndarray, rotations: np.ndarray, table: pd.DataFrame) -> Self:
+    def registered(self, points: np.ndarray, links: Links, table: pd.DataFrame) -> Self:
         """Return the observation with each cube registered to the nominal robot's points."""
         reported = self.reported(table)
         return self.laid(table, lambda rows: _fitted_cube(points[rows], reported[:5, rows]))

@@ -14,7 +14,7 @@ from calflow.files.toml import FileModel, Length, Lengths3, Unit
 from calflow.files.units import METRE
 from calflow.measurements.rows import Reported
 from calflow.measurements.series import Series
-from calflow.observations.base import NOWHERE, UNKNOWN_BOUND, UNKNOWN_SD, OfThings, Seen, six
+from calflow.observations.base import NOWHERE, UNKNOWN_BOUND, UNKNOWN_SD, Links, OfThings, Seen, six
 from calflow.robot.parts import Parameter
 
 OFFSET_SD, OFFSET_BOUND = 0.02, 0.5  # m: zero of the wire
@@ -113,7 +113,7 @@ class Distance(OfThings):
             scale = p[at]
         return (1 + scale) * ca.norm_2(seen.device(seen.point) - anchor) + offset - y
 
-    def registered(self, points: np.ndarray, rotations: np.ndarray, table: pd.DataFrame) -> Self:
+    def registered(self, points: np.ndarray, links: Links, table: pd.DataFrame) -> Self:
         """Return the observation with unknown anchor and zero located by trilateration from the nominal robot's points."""
         free = np.repeat([name in self._open for name in ("anchor", "offset")], [3, 1])
         if not free.any():

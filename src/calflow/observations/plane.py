@@ -14,7 +14,7 @@ from calflow.files.toml import FileModel, Lengths3
 from calflow.files.units import METRE
 from calflow.measurements.rows import Reported
 from calflow.measurements.series import Series
-from calflow.observations.base import Seen
+from calflow.observations.base import Links, Seen
 from calflow.observations.touched import Surface
 from calflow.robot.frames import angles
 from calflow.robot.parts import Parameter
@@ -72,7 +72,7 @@ class Plane(Surface):
         tilted = self.frame(ca.vec(ca.vertcat(none, none, values, none)), which)
         return ca.dot(tilted[:3, 2], seen.device(seen.point) - tilted[:3, 3]) - y[0]
 
-    def registered(self, points: np.ndarray, rotations: np.ndarray, table: pd.DataFrame) -> Self:
+    def registered(self, points: np.ndarray, links: Links, table: pd.DataFrame) -> Self:
         """Return the observation with each plane fitted to the nominal robot's points."""
         reading = self.readings(table)
 

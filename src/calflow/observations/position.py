@@ -15,7 +15,7 @@ from calflow.files.deferred import Rotation, pd
 from calflow.files.units import METRE, MeasurementUnit
 from calflow.measurements.rows import POSITION, Reported
 from calflow.measurements.series import Series
-from calflow.observations.base import NOWHERE, PLACE, UNKNOWN_BOUND, UNKNOWN_SD, Name, OfThings, Seen, Six
+from calflow.observations.base import NOWHERE, PLACE, UNKNOWN_BOUND, UNKNOWN_SD, Links, Name, OfThings, Seen, Six
 from calflow.robot.frames import motion_onto, placement
 from calflow.robot.parts import Parameter
 
@@ -113,7 +113,7 @@ class Position(OfThings):
         every, which = np.concatenate([np.eye(3)[None], turn.as_matrix()]), np.array(self.which(table))
         return np.asarray(every[np.where(which.any(axis=0), 1 + which.argmax(axis=0), 0)])
 
-    def registered(self, points: np.ndarray, rotations: np.ndarray, table: pd.DataFrame) -> Self:
+    def registered(self, points: np.ndarray, links: Links, table: pd.DataFrame) -> Self:
         """Return the observation with each frame placed by the rigid motion from measured to nominal points."""
         measured = table[["x", "y", "z"]].to_numpy(float)
         if self._is_known:

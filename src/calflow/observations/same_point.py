@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Self
 
@@ -15,7 +14,7 @@ from calflow.files.toml import FileModel, Length, Lengths3
 from calflow.files.units import METRE
 from calflow.measurements.rows import Reported
 from calflow.measurements.series import Series
-from calflow.observations.base import UNKNOWN_BOUND, UNKNOWN_SD, Name, OfThings, Seen, six
+from calflow.observations.base import UNKNOWN_BOUND, UNKNOWN_SD, Links, Name, OfThings, Seen, six
 from calflow.robot.frames import apply
 from calflow.robot.parts import Parameter
 
@@ -127,17 +126,11 @@ class SamePoint(OfThings):
             places.append(places[first[k]] + apart * turned / ca.norm_2(turned))
         return ca.horzcat(*places)
 
-    def registered_on(
-        self, links: Callable[[str], np.ndarray], points: np.ndarray, rotations: np.ndarray, table: pd.DataFrame
-    ) -> Self:
+    def registered(self, points: np.ndarray, links: Links, table: pd.DataFrame) -> Self:
         """Return the observation with each socket at the mean of the nominal robot's points, in the frame of its link."""
         if self._on:
             at = links(self._on)
             points = np.einsum("nji,nj->ni", at[:, :3, :3], points - at[:, :3, 3])
-        return self.registered(points, rotations, table)
-
-    def registered(self, points: np.ndarray, rotations: np.ndarray, table: pd.DataFrame) -> Self:
-        """Return the observation with each socket at the mean of the points."""
         return self.laid(table, lambda rows: points[rows].mean(axis=0))
 
     def expected(self, points: np.ndarray, rotations: np.ndarray) -> np.ndarray:

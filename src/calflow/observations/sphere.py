@@ -15,7 +15,7 @@ from calflow.files.toml import FileModel, Length, Lengths3
 from calflow.files.units import METRE
 from calflow.measurements.rows import Reported
 from calflow.measurements.series import Series
-from calflow.observations.base import FURTHEST, Seen
+from calflow.observations.base import FURTHEST, Links, Seen
 from calflow.observations.touched import Surface
 from calflow.robot.parts import Parameter
 
@@ -85,7 +85,7 @@ class Sphere(Surface):
         radius = self.radius + (p[3 * n] if self._radius_sd else 0.0)
         return ca.norm_2(seen.device(seen.point) - centre) - radius - y[0]
 
-    def registered(self, points: np.ndarray, rotations: np.ndarray, table: pd.DataFrame) -> Self:
+    def registered(self, points: np.ndarray, links: Links, table: pd.DataFrame) -> Self:
         """Return the observation with each sphere fitted to the nominal robot's points; an unknown radius is the fits' mean."""
         stated, reading, radii = self.series.number("radius"), self.readings(table), list[float]()
 

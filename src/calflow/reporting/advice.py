@@ -24,7 +24,7 @@ from calflow.diagnosis.cause_tables import CandidateRow
 from calflow.diagnosis.findings import RESTS
 from calflow.diagnosis.misfit import MisfitRegion
 from calflow.diagnosis.verdict import CERTAIN
-from calflow.effects.base import ASKED, NEEDS, Need, ShownBy
+from calflow.effects.base import NEEDS, Need
 from calflow.effects.geometry import LINK_BOUND, Geometry
 from calflow.effects.wording import UNEXPLAINED, cause_name, place_name, place_names
 from calflow.estimation.certainty import PROMISED, MissedPose
@@ -308,7 +308,7 @@ def untested(outcome: RunOutcome) -> Iterator[Advice]:
     """
     rows = [row for row in outcome.candidates if row.lacking]
     names = untestable(rows)
-    needs = {row.lacking: [ASKED[need] for need in row.asked if ASKED[need].plain] for row in rows}
+    needs = {row.lacking: [NEEDS[need] for need in row.asked] for row in rows}
     worth = [lacking for lacking in names if needs[lacking]]
     if not worth or not (outcome.unexplained or outcome.lack_of_fit_words):
         return
@@ -320,7 +320,7 @@ def untested(outcome: RunOutcome) -> Iterator[Advice]:
     yield from (_test_too(lacking, needs[lacking], names[lacking]) for lacking in dict.fromkeys((*by_sides, *most)))
 
 
-def _test_too(lacking: str, needs: Sequence[Need | ShownBy], names: Sequence[str]) -> Advice:
+def _test_too(lacking: str, needs: Sequence[Need], names: Sequence[str]) -> Advice:
     """Return advice to provide what causes need for a test: to record it at the robot, or to state it."""
     noted = any(need.recorded for need in needs)
     sentence = f"{'Note' if noted else 'State'} {listed([need.plain for need in needs])}: {listed(names, 2)} could be tested too."

@@ -197,11 +197,6 @@ def convention_of(frames: Sequence[Frame]) -> str | None:
     return next((name for name in CONVENTIONS if all(follows(frame, name) for frame in frames)), None)
 
 
-def kinematics(frames: Sequence[Frame]) -> str:
-    """Return the name of the convention that frames follow, or `frames of its own`."""
-    return convention_of(frames) or "frames of its own"
-
-
 def _parallel(alpha: float) -> bool:
     return bool(abs(np.sin(alpha)) < PARALLEL)
 

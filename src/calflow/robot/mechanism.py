@@ -618,15 +618,17 @@ def _of_wrench(robot: Robot) -> ca.Function:
     there, row = _Symbols.of(robot), Row.symbols(robot, ("wrench",))
     carrying = pose(robot, there.dims, there.q, there.deflection).carrying(robot, row.marker)
     work = ca.dot(row.wrench[:3], apply(carrying, there.dims.markers @ row.marker))
-    force = ca.gradient(work, there.motion) + _moment_work(row.wrench[3:], carrying, there.motion)
+    # A rotation by w changes the frame by skew(w) @ turn: half of its product with skew(moment) @ turn is the moment's work.
+    turn = carrying[:3, :3]
+    by_moment = ca.jtimes(ca.vec(turn), there.motion, ca.vec(ca.skew(row.wrench[3:]) @ turn) / 2, True)
+    force = ca.gradient(work, there.motion) + by_moment
     return ca.Function("wrench", [*there.inputs, row.marker, row.wrench], [force])
 
 
 def gravity_torque(robot: Robot) -> ca.Function:
     """Return the nominal robot's function (q, payload one-hot) -> static holding torques of the motors [Nm]."""
-    packed = ca.SX.sym("row", sum(Row.sizes(robot).values()))
     q = ca.SX.sym("q", robot.n_joints)
-    row = replace(Row.unpack(robot, packed), q=q)
+    row = replace(Row.symbols(robot, ()), q=q)
     still = Deflection.zero(robot.n_joints)
     loads = state(robot, nominal_dimensions(robot), nominal_loads(robot), row, still)
     return ca.Function("gravity_torque", [q, row.payload], [ca.densify(-loads.torque)])
@@ -643,8 +645,7 @@ def moment_torques(robot: Robot) -> ca.Function:
     free = replace(symbols_like(nominal), payload_mass=0 * nominal.payload_mass, **fixed)
     masses = ca.vertcat(free.mass, free.bar_mass)
     places = ca.vertcat(ca.vec(free.com), ca.vec(free.bar_com))
-    packed = ca.SX.sym("row", sum(Row.sizes(robot).values()))
-    row = replace(Row.unpack(robot, packed), q=q, payload=ca.SX(len(robot.payloads), 1))
+    row = replace(Row.symbols(robot, ()), q=q, payload=ca.SX(len(robot.payloads), 1))
     torque = -state(robot, nominal_dimensions(robot), free, row, Deflection.zero(robot.n_joints)).torque
     slopes = ca.substitute(
         ca.jacobian(torque, ca.vertcat(masses, places)),
@@ -691,14 +692,3 @@ def _spread(robot: Robot, size: int) -> np.ndarray:
     share = np.outer(np.arange(1, size + 1), ratio ** -np.arange(1.0, n + 1)) % 1.0
     lower, upper = robot.limits.T
     return np.asarray(lower + share * (upper - lower))
-
-
-def _moment_work(moment: ca.SX, link: ca.SX, motion: ca.SX) -> ca.SX:
-    """Return the generalised force of a pure moment on a link, by the rotational Jacobian of the link."""
-    rotation = link[:3, :3]
-    # A rotation by w changes each column by w x column, so that 1/2 sum(column x change) equals w.
-    total = ca.SX(motion.numel(), 1)
-    for k in range(3):
-        arm = ca.cross(moment, rotation[:, k]) / 2
-        total += ca.jtimes(rotation[:, k], motion, arm, True)
-    return total

@@ -15,10 +15,11 @@ import numpy as np
 
 from calflow.files.problems import nearest, refuse
 from calflow.files.toml import checked
+from calflow.files.words import plural
 from calflow.files.writing import write_text
 from calflow.robot.formats import robot_file, urdf
-from calflow.robot.frames import Frame, Place, Step, convention_of, kinematics
-from calflow.robot.parts import Expected, Joint, Marker, Payload, RobotParts, link_names, parent_links
+from calflow.robot.frames import Frame, Place, Step, convention_of
+from calflow.robot.parts import Expected, Joint, RobotParts, link_names, parent_links
 
 
 @dataclass(frozen=True, repr=False)
@@ -194,7 +195,7 @@ class Robot(RobotParts):
     @cached_property
     def kinematics(self) -> str:
         """The convention of its frames, or `frames of its own`."""
-        return kinematics(self.frames)
+        return convention_of(self.frames) or "frames of its own"
 
     @property
     def has_masses(self) -> bool:
@@ -277,10 +278,10 @@ class Robot(RobotParts):
         return np.asarray(~self.past_limits(q, by).any(axis=1))
 
     def __repr__(self) -> str:
-        return _text(self.name, self.joints, self.payloads, self.markers)
+        return _text(self)
 
     def _repr_html_(self) -> str:
-        return _html(self.name, self.joints, self.payloads, self.markers)
+        return _html(self)
 
 
 def _canonical(value: Any) -> Any:
@@ -297,32 +298,32 @@ def _canonical(value: Any) -> Any:
 Rows = list[tuple[str, ...]]
 
 
-def _text(name: str, joints: Sequence[Joint], payloads: Mapping[str, Payload], markers: Mapping[str, Marker]) -> str:
+def _text(robot: Robot) -> str:
     """Return a robot as plain text."""
-    table = _table(joints)
+    table = _table(robot.joints)
     widths = [max(len(row[k]) for row in table) for k in range(len(table[0]))]
     lines = ["  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in table]
-    return "\n".join((_title(name, joints), *(f"  {line}" for line in lines), *_tool(payloads, markers)))
+    return "\n".join((_title(robot), *(f"  {line}" for line in lines), *_tool(robot)))
 
 
-def _html(name: str, joints: Sequence[Joint], payloads: Mapping[str, Payload], markers: Mapping[str, Marker]) -> str:
+def _html(robot: Robot) -> str:
     """Return a robot as a small HTML table."""
-    head, *body = _table(joints)
+    head, *body = _table(robot.joints)
     rows = [_row("th", head), *(_row("td", row) for row in body)]
-    below = "".join(f"<br>{escape(line)}" for line in _tool(payloads, markers))
-    return f"<b>{escape(_title(name, joints))}</b><table>{''.join(rows)}</table>{below.removeprefix('<br>')}"
+    below = "".join(f"<br>{escape(line)}" for line in _tool(robot))
+    return f"<b>{escape(_title(robot))}</b><table>{''.join(rows)}</table>{below.removeprefix('<br>')}"
 
 
-def _title(name: str, joints: Sequence[Joint]) -> str:
-    return f"Robot '{name}': {len(joints)} joint{'s' * (len(joints) != 1)}, {kinematics([joint.frame for joint in joints])}"
+def _title(robot: Robot) -> str:
+    return f"Robot '{robot.name}': {plural(robot.n_joints, 'joint')}, {robot.kinematics}"
 
 
-def _tool(payloads: Mapping[str, Payload], markers: Mapping[str, Marker]) -> list[str]:
-    masses = ("of unknown mass" if load.mass is None else f"{load.mass:g} kg" for load in payloads.values())
-    loads = ", ".join(f"{name} {mass}" for name, mass in zip(payloads, masses, strict=True)) or "none"
+def _tool(robot: Robot) -> list[str]:
+    masses = ("of unknown mass" if load.mass is None else f"{load.mass:g} kg" for load in robot.payloads.values())
+    loads = ", ".join(f"{name} {mass}" for name, mass in zip(robot.payloads, masses, strict=True)) or "none"
     places = (
         f"{name} ({', '.join(_figure(1e3 * v) for v in marker.point)}) mm{f' on {marker.on}' if marker.on else ''}"
-        for name, marker in markers.items()
+        for name, marker in robot.markers.items()
     )
     return [f"payloads: {loads}", f"markers: {', '.join(places)}"]
 
