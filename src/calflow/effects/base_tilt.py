@@ -91,31 +91,24 @@ class BaseTilt(Effect):
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the tilts about the base's axes under the arm's largest moment, and the compliances under payloads."""
-        forms, words = [], "tilt of the base"
-        low = dict.fromkeys(("c", "x", "y"), 0.0)
-        for symbol in COMPLIANCES[self.shape]:
-            if self.shape != "moments":
-                forms.append(self._tilt(f"t{symbol}", low.get(symbol, -TILT_BOUND), 1.0, f"{words} under the arm"))
-                continue
-            for k, moment in enumerate(self._arm.moments):
-                share = moment / sum(self._arm.moments)
-                forms += [
-                    self._tilt(
-                        f"t{symbol}_{k + 1}{axis}", -TILT_BOUND, share, f"{words} under link {k + 1}, along {axis}"
-                    )
-                    for axis in "xy"
-                ]
+        words, one_sided, moments = "tilt of the base", ("c", "x", "y"), self._arm.moments
+        of_arm = [("", 1.0, "the arm")]
+        if self.shape == "moments":
+            shares = enumerate((moment / sum(moments) for moment in moments), start=1)
+            of_arm = [(f"_{k}{axis}", share, f"link {k}, along {axis}") for k, share in shares for axis in "xy"]
+        forms = [
+            Parameter(self.id, "base", f"t{symbol}{load}", "rad", TILT_SD * share,
+                      0.0 if symbol in one_sided and not load else -TILT_BOUND, TILT_BOUND, meaning=f"{words} under {what}")
+            for symbol in COMPLIANCES[self.shape] for load, share, what in of_arm
+        ]  # fmt: skip
         of_payloads = [("", "rad/Nm", self._reach, "per moment of the payload")] if self._reach else []
-        of_payloads += [(name, "rad/m", self._arm.reach, f"per arm of payload {name}") for name in self._unknown]
+        of_payloads += [(name, "rad/m", self._arm.reach, f"per arm of payload {name}") for name in self.robot.unweighed]
         forms += [
             Parameter(self.id, "base", f"p{symbol}{name and '_' + name}", unit, TILT_SD / arm,
-                      0.0 if symbol in low else -TILT_BOUND / arm, TILT_BOUND / arm, meaning=f"{words} {per}")
+                      0.0 if symbol in one_sided else -TILT_BOUND / arm, TILT_BOUND / arm, meaning=f"{words} {per}")
             for name, unit, arm, per in of_payloads for symbol in COMPLIANCES[self.shape]
         ]  # fmt: skip
         return tuple(forms)
-
-    def _tilt(self, symbol: str, lower: float, share: float, words: str) -> Parameter:
-        return Parameter(self.id, "base", symbol, "rad", TILT_SD * share, lower, TILT_BOUND, meaning=words)
 
     @property
     def _reach(self) -> float:
@@ -152,12 +145,7 @@ class BaseTilt(Effect):
         ]
         gravity = float(np.linalg.norm(robot.gravity))
         known = sum((gravity * loads.payload_mass[k] * arm for k, arm in enumerate(arms)), ca.SX(2, 1))
-        return [*([known] if self._reach else []), *(arms[k] for k in self._unknown.values())]
-
-    @property
-    def _unknown(self) -> dict[str, int]:
-        """The payloads of unknown mass, with their indices among all payloads."""
-        return {name: k for k, (name, load) in enumerate(self.robot.payloads.items()) if load.mass is None}
+        return [*([known] if self._reach else []), *(arms[k] for k in self.robot.unweighed.values())]
 
     def variable(self, joint: int) -> Variable:
         """Return the normalised overturning moment under the assumed mass distribution."""

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from calflow.effects.base import OF_THE_FRAME, Words
-from calflow.effects.step_change import FEWEST, StepChange, between_fitted
+from calflow.effects.step_change import FEWEST, StepChange
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Dimensions, Row
 from calflow.robot.parts import Parameter
@@ -63,7 +63,7 @@ class FrameStep(StepChange):
     def undecided(self, data: Measurements) -> np.ndarray:
         """Return the rows of which the fitted ones do not tell whether they are of the device before the step."""
         about = np.array([self.concerns(name) for name in data.device], dtype=bool)
-        about[about] = between_fitted(data.only(about), self.moment)
+        about[about] = super().undecided(data.only(about))
         return about
 
     @property

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, Self
@@ -64,39 +64,34 @@ class GravityDeflection(Effect):
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the lumped first moments that load each joint, and its compliance under payloads."""
-        robot = self.robot
-        forms = []
-        loaded = [load for load in robot.payloads.values() if load.mass]
-        unknown = [name for name, load in robot.payloads.items() if load.mass is None]
-        rated = rated_torques(robot) if loaded else np.ones(robot.n_joints)
-        for i, joint in enumerate(robot.joints):
-            part, words = f"joint{i + 1}", f"gravity deflection of joint {i + 1}"
-            if joint.kind == "prismatic" or not self._loaded(i):
-                continue
-            if self.shape == "rule":
-                forms.append(Parameter(self.id, part, "t", "rad", NEAR_SD, 0.0, BOUND, meaning=words, joint=i + 1))
-            else:
-                forms += [
-                    Parameter(self.id, part, f"phi{k + 1}{axis}", "rad",
-                              NEAR_SD if i in (k, robot.parents[k] - 1) else FAR_SD, -BOUND, BOUND,
-                              meaning=f"{words}, link {k + 1} along {axis}", joint=i + 1)
-                    for k in robot.carried[i] for axis in "xy"
-                ]  # fmt: skip
-            if loaded:
-                forms.append(Parameter(self.id, part, "s", "rad/Nm", WINDUP_SD / rated[i], 0.0, WINDUP_BOUND / rated[i],
-                                       meaning=f"{words}, payload", joint=i + 1))  # fmt: skip
-            forms += [
-                Parameter(
-                    self.id, part, symbol, "rad/m", NEAR_SD, 0.0, BOUND, meaning=f"{words}, payload {load}", joint=i + 1
-                )
-                for symbol, load in zip(self._unknown, unknown, strict=True)
-            ]
+        joints = [i for i, joint in enumerate(self.robot.joints) if joint.kind != "prismatic" and self._loaded(i)]
+        words = "gravity deflection of joint"
+        forms = [
+            Parameter(self.id, f"joint{i + 1}", symbol, unit, sd, low, bound, meaning=f"{words} {i + 1}{by}", joint=i + 1)
+            for i in joints for symbol, unit, sd, low, bound, by in self._loads_of(i)
+        ]  # fmt: skip
         forms += [
             Parameter(self.id, f"payload {name}", axis, "m", CENTRE_SD, -CENTRE_BOUND, CENTRE_BOUND,
                       meaning=f"{axis} of the centre of payload {name}")
-            for name in unknown for axis in "xyz"
+            for name in self.robot.unweighed for axis in "xyz"
         ]  # fmt: skip
         return tuple(forms)
+
+    def _loads_of(self, joint: int) -> Iterator[tuple[str, str, float, float, float, str]]:
+        """Yield symbol, unit, standard deviation, bounds and words of a joint's deflection (index from 0) by each of its loads."""
+        robot = self.robot
+        if self.shape == "rule":
+            yield "t", "rad", NEAR_SD, 0.0, BOUND, ""
+        else:
+            for k in robot.carried[joint]:
+                sd = NEAR_SD if joint in (k, robot.parents[k] - 1) else FAR_SD
+                yield from (
+                    (f"phi{k + 1}{axis}", "rad", sd, -BOUND, BOUND, f", link {k + 1} along {axis}") for axis in "xy"
+                )
+        if any(load.mass for load in robot.payloads.values()):
+            rated = rated_torques(robot)[joint]
+            yield "s", "rad/Nm", WINDUP_SD / rated, 0.0, WINDUP_BOUND / rated, ", payload"
+        yield from ((f"s_{name}", "rad/m", NEAR_SD, 0.0, BOUND, f", payload {name}") for name in robot.unweighed)
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
         """Return each joint's deflection by its lumped moments and the payload's torque, in nominal frames."""
@@ -124,18 +119,18 @@ class GravityDeflection(Effect):
             for axis in (0, 1)
         }
         heavy = {
-            symbol: row.payload[k]
+            f"s_{name}": row.payload[k]
             * ca.dot(down, apply(at.frame(self.robot, self.robot.payload_links[k]), centres[:, k]))
-            for symbol, k in self._unknown.items()
+            for name, k in self.robot.unweighed.items()
         }
         by_rule = {"t": ca.dot(down, Arm.of(self.robot).first_moment(at))} if self.shape else {}
         return moments | by_rule | {"s": -potential_energy(self.robot, none, row, at)} | heavy
 
     def _centres(self, p: ca.SX, stated: ca.SX) -> ca.SX:
         """Return the payloads' centres, those of unknown mass shifted from where the robot file states them."""
-        centres, names = ca.SX(stated), list(self.robot.payloads)
-        for k in self._unknown.values():
-            centres[:, k] += p[self.parts[f"payload {names[k]}"]]
+        centres = ca.SX(stated)
+        for name, k in self.robot.unweighed.items():
+            centres[:, k] += p[self.parts[f"payload {name}"]]
         return centres
 
     def size(self, p: ca.SX, own: Sequence[Parameter]) -> ca.SX:
@@ -148,11 +143,6 @@ class GravityDeflection(Effect):
     def finer(self, data: Measurements) -> tuple[Self, ...]:
         """Return the form without the rule, which may prove better beside other causes."""
         return (replace(self, shape=""),) if self.shape else ()
-
-    @property
-    def _unknown(self) -> dict[str, int]:
-        """The symbols of the payloads of unknown mass, with their indices among all payloads."""
-        return {f"s_{name}": k for k, (name, load) in enumerate(self.robot.payloads.items()) if load.mass is None}
 
     def _loaded(self, joint: int) -> bool:
         """Return whether gravity can load a joint: not if its axis is vertical in every pose, as joint 1's often is."""

@@ -66,7 +66,10 @@ class StepChange(Effect):
 
     def undecided(self, data: Measurements) -> np.ndarray:
         """Return the rows between the last fitted one before the moment and the first after it."""
-        return between_fitted(data, self.moment)
+        order = data.table["order"].to_numpy(float)
+        fitted = order[data.train]
+        last = fitted[fitted < self.moment].max(initial=-np.inf)
+        return np.asarray((order > last) & (order < fitted[fitted > self.moment].min(initial=np.inf)))
 
     def later(self, series: Measurements | None) -> Self:
         """Return the same at a moment before any row."""
@@ -124,14 +127,6 @@ class StepChange(Effect):
             Parameter(self.id, part, symbol + axis, unit, sd, -BOUND * sd, BOUND * sd, meaning=f"{meaning} {axis}")
             for (symbol, unit, meaning), sd in zip(AXES, sds, strict=False) for axis in "xyz"
         )  # fmt: skip
-
-
-def between_fitted(data: Measurements, place: float) -> np.ndarray:
-    """Return the rows (n_rows,) between the last fitted one before a place in measuring order and the first after it."""
-    order = data.table["order"].to_numpy(float)
-    fitted = order[data.train]
-    last = fitted[fitted < place].max(initial=-np.inf)
-    return np.asarray((order > last) & (order < fitted[fitted > place].min(initial=np.inf)))
 
 
 def _spans(data: Measurements) -> np.ndarray:

@@ -92,12 +92,8 @@ class ToolDeflection(Effect):
     @property
     def _unknown(self) -> dict[str, int]:
         """The indices, by part, of the payloads of unknown mass among all payloads."""
-        loads = zip(self.robot.payloads.items(), self.robot.payload_links, strict=True)
-        return {
-            f"payload {name}": k
-            for k, ((name, load), link) in enumerate(loads)
-            if load.mass is None and link in self.robot.tools
-        }
+        on = self.robot.payload_links
+        return {f"payload {name}": k for name, k in self.robot.unweighed.items() if on[k] in self.robot.tools}
 
     @property
     def _known(self) -> dict[str, int]:

@@ -77,14 +77,10 @@ class TrackerScale(Effect):
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the scale error, or that of the zero."""
-        if self.zero:
-            return (
-                Parameter(
-                    self.id, "device", "z", "m", self.sd, -10 * self.sd, 10 * self.sd, meaning="error of the zero"
-                ),
-            )
-        bound = max(1e-3, 10 * self.sd)
-        return (Parameter(self.id, "device", "s", "1", self.sd, -bound, bound, meaning="scale error"),)
+        scale, zero = ("s", "1", 1e-3, "scale error"), ("z", "m", 0.0, "error of the zero")
+        symbol, unit, least, meaning = zero if self.zero else scale
+        bound = max(least, 10 * self.sd)
+        return (Parameter(self.id, "device", symbol, unit, self.sd, -bound, bound, meaning=meaning),)
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
         """Return the point, scaled, or further along the wire."""

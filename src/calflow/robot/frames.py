@@ -7,11 +7,11 @@ numbers or CasADi expressions (4, 4); lengths in m, angles in rad.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import combinations
-from typing import Literal, Protocol
+from typing import Literal
 
 import casadi as ca
 import numpy as np
@@ -125,12 +125,7 @@ class Frame:
         return next((step for step in self.body if step.motion == "tz"), None)
 
 
-class Convention(Protocol):
-    """A convention that states a frame by five parameters [rad and m]."""
-
-    def __call__(
-        self, *, alpha: float = ..., a: float = ..., d: float = ..., theta: float = ..., beta: float = ...
-    ) -> Frame: ...
+Convention = Callable[..., Frame]  # states a frame by alpha, a, d, theta and beta [rad and m]
 
 
 def dh(*, alpha: float = 0.0, a: float = 0.0, d: float = 0.0, theta: float = 0.0, beta: float = 0.0) -> Frame:

@@ -157,6 +157,11 @@ class Robot(RobotParts):
         return tuple(self.link(payload.on) for payload in self.payloads.values())
 
     @cached_property
+    def unweighed(self) -> dict[str, int]:
+        """The payloads of unknown mass by name, with their indices among all payloads."""
+        return {name: k for k, (name, load) in enumerate(self.payloads.items()) if load.mass is None}
+
+    @cached_property
     def tools(self) -> tuple[int, ...]:
         """The numbers of tips that carry markers or payloads."""
         return tuple(link for link in self.tips if link in (*self.marker_links, *self.payload_links))
