@@ -188,7 +188,7 @@ UNREPEATED = Finding(status="unexplained", statement="", inputs=("pose", "q3", "
 
 def candidates(*asked: str) -> pd.DataFrame:
     rows = [CandidateRow(cause="thermal-growth", lacking=NEEDS[need].words, asked=(need,)) for need in asked]
-    return to_frame(rows, CandidateRow)
+    return to_frame([CandidateRow(cause="thermal-growth"), *rows], CandidateRow)
 
 
 def separations(chance: float, means: str = "") -> pd.DataFrame:
@@ -240,7 +240,7 @@ QUIET: dict[str, object] = {
     "identify/identifiability.csv": statements(),
     "identify/placement.csv": placement("E"),
     "diagnose/findings.csv": found(),
-    "diagnose/candidates.csv": candidates("", "warmth"),
+    "diagnose/candidates.csv": candidates("warmth"),
     "diagnose/separations.csv": separations(0.99).iloc[:0],
     "diagnose/next_poses.csv": poses(0),
     "sample/posterior.csv": pd.DataFrame({"parameter": ["joint2.a", "E.x"], "rhat": [1.001, 1.009]}),

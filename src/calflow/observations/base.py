@@ -18,6 +18,7 @@ from calflow.files.units import MeasurementUnit
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import Reported
 from calflow.measurements.series import Series
+from calflow.robot.frames import placement
 from calflow.robot.parts import Parameter
 
 Name = tuple[str, ...]
@@ -233,6 +234,11 @@ class OfThings(Observation):
     def part_of(self, name: Name) -> str:
         """Return the name of the parameters' part of an object."""
         return "-".join(filter(None, (self.part, *name)))
+
+    def frame(self, errors: ca.SX, which: ca.SX) -> ca.SX:
+        """Return the frame (4, 4) of a row's object; errors are those of all poses, (6 · n_objects,), or none of known ones."""
+        stands = placement(ca.DM(np.array(self.nominal)).T @ which)
+        return stands @ placement(ca.reshape(errors, 6, len(self.names)) @ which) if errors.numel() else stands
 
     def which(self, table: pd.DataFrame) -> list[np.ndarray]:
         """Return, for each object, which rows are of it, (n_rows,)."""

@@ -81,7 +81,7 @@ def camera_and_target(
     seen = np.array([[*sighting, *[sighting[0]] * (count - len(sighting))] for sighting in sightings])
     n = len(sightings)
     every = np.arange(n)
-    best, chosen = np.inf, np.zeros(n, dtype=int)
+    best = np.inf
     step = max(1, n // OF_A_SUBSET)
     for k in range(min(SUBSETS, step * count)):
         some = every[(k // count) % step :: step]
@@ -94,7 +94,7 @@ def camera_and_target(
             camera, target = _shah(motion[inliers], np.linalg.inv(seen[inliers, choice[inliers]]))
         cost = float(np.minimum(_rotation_errors(motion, seen, camera, target).min(axis=1), AGREES).sum())
         if cost < best - 1e-12:
-            best, chosen, placed = cost, choice, (camera, target)
+            best, placed = cost, (camera, target)
     camera, target = placed
     off = _rotation_errors(motion, seen, camera, target)
     chosen = off.argmin(axis=1)

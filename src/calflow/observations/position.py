@@ -16,7 +16,7 @@ from calflow.files.units import METRE, MeasurementUnit
 from calflow.measurements.rows import POSITION, Reported
 from calflow.measurements.series import Series
 from calflow.observations.base import NOWHERE, PLACE, UNKNOWN_BOUND, UNKNOWN_SD, Links, Name, OfThings, Seen, Six
-from calflow.robot.frames import motion_onto, placement
+from calflow.robot.frames import motion_onto
 from calflow.robot.parts import Parameter
 
 
@@ -97,9 +97,7 @@ class Position(OfThings):
         """Return rotation (3, 3) and shift (3,) from the measuring frame to the row's frame; None where it is the only one."""
         if not self.names:
             return None
-        stands = placement(ca.DM(np.array(self.nominal)).T @ which)
-        if p.numel():
-            stands = stands @ placement(ca.reshape(p, 6, len(self.names)) @ which)
+        stands = self.frame(p, which)
         turn = stands[:3, :3].T
         return turn, -turn @ stands[:3, 3]
 

@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import casadi as ca
 import numpy as np
 
 from calflow.files.deferred import pd
 from calflow.observations.base import PLACE, UNKNOWN_BOUND, UNKNOWN_SD, OfThings
-from calflow.robot.frames import placement
 from calflow.robot.parts import Parameter
 
 
@@ -33,11 +31,6 @@ class Touched(OfThings):
         places = np.zeros((len(self.names), n))
         places[0] = 1.0
         return places
-
-    def frame(self, errors: ca.SX, which: ca.SX) -> ca.SX:
-        """Return the frame (4, 4) of a row's object; errors are those of all poses, (6 · n_objects,)."""
-        nominal = ca.DM(np.array(self.nominal)).T @ which
-        return placement(nominal) @ placement(ca.reshape(errors, 6, len(self.names)) @ which)
 
 
 @dataclass(frozen=True)
