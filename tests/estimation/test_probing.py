@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from calflow.effects import Effect, catalogue
-from calflow.effects.cause import Cause, parts
+from calflow.effects.cause import Cause
 from calflow.estimation.error_model import normal_equations, usual_sizes
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import Noise
@@ -39,7 +39,7 @@ def forms(robot, data) -> tuple[Effect, ...]:
     """Two forms of every effect at the most, and single causes, which own only a part of an effect."""
     every = [form for kind in catalogue().values() if not kind.is_noise() for form in kind.variants(robot, data)[:2]]
     whole = [effect for effect in every if effect.declared]
-    single = [Cause(robot, effect, list(parts(effect))[-1]) for effect in whole[::3]]
+    single = [Cause(robot, effect, list(effect.parts)[-1]) for effect in whole[::3]]
     return (*whole, *single)
 
 
