@@ -10,6 +10,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import calflow as cf
+from calflow.sampling.log_posterior import log_posterior_of
 
 DOCUMENT = Path(__file__).parents[1] / "docs" / "api.md"
 RUNOUT = 6e-4  # rad, of a gear: an eccentricity, which is not among the sample's effects
@@ -148,10 +149,11 @@ def test_without_arviz_it_says_what_to_install(points):
         return
     given = posterior.to_inference_data()
     drawn = given["posterior"]["joint2.a"]
-    ensembles, steps, walkers, _ = posterior.walkers.shape
+    ensembles, steps, walkers, _ = posterior.points.shape
     assert (drawn.sizes["chain"], drawn.sizes["draw"]) == (ensembles * walkers, steps)
     assert float(drawn.mean()) == pytest.approx(posterior.draws["joint2.a"].mean())
-    prior, likelihood = posterior.log_posterior.densities(posterior.walkers[0, :, 3])[1:]
+    log_posterior, _ = log_posterior_of(posterior.calibrated, posterior.data)
+    prior, likelihood = log_posterior.densities_at(posterior.points[0, :, 3])
     np.testing.assert_allclose(given["log_prior"]["parameters"][3], prior, rtol=1e-9)
     np.testing.assert_allclose(given["log_likelihood"]["measurements"][3], likelihood, rtol=1e-9)
 
