@@ -16,7 +16,7 @@ import numpy as np
 from calflow.deployment.figures_alone import FiguresAlone
 from calflow.estimation.accuracy import judged_unit
 from calflow.estimation.calibrated_model import CalibratedModel
-from calflow.estimation.noise import conditions, members
+from calflow.estimation.noise import conditions, group_means, members
 from calflow.files.deferred import Rotation, pd
 from calflow.files.problems import refuse
 from calflow.files.units import METRE, MeasurementUnit
@@ -380,13 +380,6 @@ def _points(data: Measurements) -> tuple[pd.DataFrame, np.ndarray]:
     first = np.unique(group, return_index=True)[1]
     labels = [name for name in ("pose", "marker", "payload", "session") if name in data.table]
     return data.table.iloc[first][labels].reset_index(drop=True).assign(rows=np.bincount(group)), group
-
-
-def group_means(values: np.ndarray, group: np.ndarray) -> np.ndarray:
-    """Return the means (n, …) of values (n_rows, …) over each group of rows, numbered from 0 by group (n_rows,)."""
-    columns = values.reshape(len(values), -1).T
-    sums = np.stack([np.bincount(group, weights=column) for column in columns], axis=1)
-    return np.asarray((sums / np.bincount(group)[:, None]).reshape(-1, *values.shape[1:]))
 
 
 @dataclass(frozen=True)

@@ -16,13 +16,14 @@ import casadi as ca
 import numpy as np
 import scipy
 
-from calflow.deployment.attained import CALIBRATED, Attained, Station, group_means, rigid_slope
+from calflow.deployment.attained import CALIBRATED, Attained, Station, rigid_slope
 from calflow.effects.base import unmet
 from calflow.effects.geometry import Geometry
 from calflow.effects.misstated_payload import PayloadMass
 from calflow.effects.thermal_growth import ThermalGrowth
 from calflow.effects.warming import REFERENCE
 from calflow.estimation.calibrated_model import CalibratedModel
+from calflow.estimation.noise import group_means
 from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements
 from calflow.model import consecutive

@@ -17,7 +17,7 @@ import scipy
 from calflow.diagnosis.fitted import MOST_LEVERAGE, Fitted
 from calflow.estimation.calibrated_model import SeriesNoise
 from calflow.estimation.lack_of_fit import WORTH_TELLING, NoiseDoubt, doubt
-from calflow.estimation.noise import MIN_REPEATS, Label, Noise, Scatter, deviations
+from calflow.estimation.noise import MIN_REPEATS, Label, Noise, Scatter, group_means
 from calflow.files.deferred import pd
 from calflow.files.units import METRE
 from calflow.files.words import rounded
@@ -346,7 +346,7 @@ def _smooth_functions(fitted: Fitted, rows: np.ndarray) -> np.ndarray:
     """
     joints, of_rows = fitted.data.joints[rows], fitted.model.point(fitted.fit.estimate, fitted.data.conditions)
     pose = np.unique(fitted.poses, return_inverse=True)[1]
-    place = (of_rows - deviations(of_rows, pose, np.full(len(pose), True))[0])[rows]
+    place = group_means(of_rows, pose)[pose][rows]
     place = place - place.mean(axis=0)
     waves = [wave(order * q) for order in (1, 2) for q in joints.T for wave in (np.cos, np.sin)]
     products = [place[:, i] * place[:, j] for i in range(3) for j in range(i, 3)]

@@ -106,8 +106,7 @@ class Cooling(SmoothFunction):
             return dims
         since = ca.fmax(0, row.time - self.end)
         stands = ca.sqrt(1 - ca.exp(-since / SHIFT))
-        effect, values = self.cause.acting(self.growth * p * stands)
-        return effect.dimensions(values, dims, replace(row, time=since))
+        return self.cause.dimensions(self.growth * p * stands, dims, replace(row, time=since))
 
 
 @dataclass(frozen=True)

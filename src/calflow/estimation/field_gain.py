@@ -10,7 +10,7 @@ import scipy
 from calflow.estimation.accuracy import errors, mean_rms_max
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.leverage import halved
-from calflow.estimation.noise import conditions
+from calflow.estimation.noise import conditions, group_means
 from calflow.estimation.progress import SAME, Draws
 from calflow.estimation.residual_field import (
     NOT_PHYSICAL,
@@ -102,12 +102,12 @@ def training_poses(calibrated: CalibratedModel, data: Measurements, rng: np.rand
     whole = ~np.isnan(left).any(axis=1)
     train, left = train.only(whole), left[whole]
     pose = train.table.groupby("pose", sort=False).ngroup().to_numpy()
-    joints = np.stack([np.bincount(pose, q) / np.bincount(pose) for q in train.joints.T], axis=1)[pose]
-    readings, group = np.unique(np.round(joints / ALIKE), axis=0, return_inverse=True)
-    count = np.maximum(np.bincount(group.ravel(), minlength=len(readings)), 1)
-    mean = np.stack([np.bincount(group.ravel(), axis, len(readings)) for axis in left.T], axis=1) / count[:, None]
+    joints = group_means(train.joints, pose)[pose]
+    readings, inverse = np.unique(np.round(joints / ALIKE), axis=0, return_inverse=True)
+    group = inverse.ravel()
+    mean = group_means(left, group)
     sigma = np.nan_to_num(calibrated.device_sigma(train))
-    noise = np.sqrt(np.mean(sigma**2 / count[group.ravel()])) if len(train) else 0.0
+    noise = np.sqrt(np.mean(sigma**2 / np.bincount(group)[group])) if len(train) else 0.0
     some = np.sort(rng.permutation(len(readings))[:MAX_POSES])
     free = ~calibrated.at_bound
     kept = np.diag(calibrated.covariance)[free] / calibrated.model.prior_sd[free] ** 2

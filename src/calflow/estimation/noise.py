@@ -6,6 +6,7 @@ their means are fitted.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, Self
@@ -33,6 +34,13 @@ GOLDEN = (5**0.5 - 1) / 2  # its multiples modulo 1 are equidistributed, and in 
 def members(group: np.ndarray) -> list[np.ndarray]:
     """Return the rows of each group, in their order; group (n_rows,) numbers them from 0 without gaps."""
     return np.split(np.argsort(group, kind="stable"), np.cumsum(np.bincount(group))[:-1])
+
+
+def group_means(values: np.ndarray, group: np.ndarray) -> np.ndarray:
+    """Return the means (n, …) of values (n_rows, …) over each group of rows, numbered from 0 by group (n_rows,)."""
+    columns = values.reshape(len(values), math.prod(values.shape[1:])).T
+    sums = np.stack([np.bincount(group, weights=column) for column in columns], axis=1)
+    return np.asarray((sums / np.bincount(group)[:, None]).reshape(-1, *values.shape[1:]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,12 +197,10 @@ class Noise:
     @property
     def words(self) -> str:
         """The noise in words."""
-        return "; ".join(
-            dict.fromkeys(self._words(source, unit) for source, unit in zip(self.sources, self.leading, strict=True))
-        )
+        kinds = list(zip(self.sources, self.leading, strict=True))
+        return "; ".join(self._words(*kind, [other == kind for other in kinds]) for kind in dict.fromkeys(kinds))
 
-    def _words(self, source: Source, unit: MeasurementUnit) -> str:
-        alike = [(other, of) == (source, unit) for other, of in zip(self.sources, self.leading, strict=True)]
+    def _words(self, source: Source, unit: MeasurementUnit, alike: Sequence[bool]) -> str:
         level = f"{unit.words(float(np.sqrt(np.mean(self.sigma[self._by_series(alike)] ** 2))))} per axis"
         return {
             "repeats": f"{level}, from repeated measurements of the fitted poses",
