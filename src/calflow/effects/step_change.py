@@ -25,7 +25,8 @@ class StepChange(Effect):
     """A change of constant size between two rows in measuring order, without a column of its own.
 
     The model's other parameters are of the time after it, and it acts, reversed, on the rows before: the robot as it was left,
-    commands and later measurements know nothing of it. Of images, after says after which it was.
+    commands and later measurements know nothing of it. Of images, after says after which it was; of rows, between which
+    fitted ones, where some between them were held out.
     """
 
     moment: float = 0.5
@@ -52,7 +53,7 @@ class StepChange(Effect):
 
     def at(self, moment: float, data: Measurements) -> Self:
         """Return the same at another moment of the data."""
-        return replace(self, moment=moment, after=_image_before(data, moment))
+        return replace(self, moment=moment, after=_image_before(data, moment) or _between_fitted_rows(data, moment))
 
     @classmethod
     def unstatable(cls) -> str:
@@ -146,6 +147,15 @@ def _image_before(data: Measurements, moment: float) -> str:
     if last.get("image"):
         return f"image {last['image']}"
     return f"the image of pose {last['pose']}" + f", repeat {last['repeat']}" * (data.table["repeat"].nunique() > 1)
+
+
+def _between_fitted_rows(data: Measurements, moment: float) -> str:
+    """Return in words the fitted rows between which it was; empty where no other lies between them."""
+    if "split" not in data.table:
+        return ""
+    fitted = data.only(data.train).table["order"].to_numpy(float)
+    first, end = fitted[fitted < moment].max(initial=0.0), fitted[fitted > moment].min(initial=np.inf)
+    return f"row {first:.0f} and before row {end:.0f} in measuring order" if first and 1 < end - first < np.inf else ""
 
 
 def _spread(moments: np.ndarray, data: Measurements) -> np.ndarray:
