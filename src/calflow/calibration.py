@@ -56,7 +56,7 @@ from calflow.estimation.field_gain import field_results, gainful_field
 from calflow.estimation.identifiability import best_subset, correlations, left_open, redundant, wrong_counts
 from calflow.estimation.identification import FittedEffects, fit_effects
 from calflow.estimation.least_squares import Loss
-from calflow.estimation.leverage import JudgedResidual, Studentised, judged, judged_table
+from calflow.estimation.leverage import Studentised, judged, judged_table
 from calflow.estimation.model_tables import (
     FitSummary,
     IdentifySummary,
@@ -233,10 +233,9 @@ class Calibration(CalibratedModel, RunOutcome):
     @property
     def warnings(self) -> tuple[str, ...]:
         """Reasons why the model must not be used, or not yet; empty if it may be used."""
-        read = {"accuracy.csv": Accuracy, "residuals.csv": JudgedResidual}
-        tables = {f"{stage}/{name}": rows for stage in ("identify", "diagnose") for name, rows in read.items()}
+        read = [f"{stage}/{name}.csv" for stage in ("identify", "diagnose") for name in ("accuracy", "residuals")]
         given = self.results.tables
-        if older := [name for name, rows in tables.items() if name in given and missing_columns(given[name], rows)]:
+        if older := [name for name in read if name in given and missing_columns(given[name], TABLES[name])]:
             return (
                 f"whether the model is to be used cannot be told from {', '.join(older)}, which another version of calflow "
                 f"made; {AGAIN}",
@@ -255,12 +254,12 @@ class Calibration(CalibratedModel, RunOutcome):
     @cached_property
     def parameters(self) -> Parameters:
         """The estimated parameters, by name."""
-        return Parameters.of_table(self._latest("parameters"), self.robot)
+        return Parameters.of_table(self.fitted_parameters.table, self.robot)
 
     @property
     def covariance_table(self) -> pd.DataFrame:
         """The covariance of the estimate in SI units, with parameter names as row and column labels."""
-        return self._latest("covariance").set_index("parameter")
+        return self.tables[self.path_of("covariance.csv")].set_index("parameter")
 
     @checked_arguments
     def diagnose(
@@ -522,9 +521,6 @@ class Calibration(CalibratedModel, RunOutcome):
         return Material(
             self.results, self.model.robot, request, self.request.name, self.request.stages, lambda: (self, self.data)
         )
-
-    def _latest(self, name: str) -> pd.DataFrame:
-        return self.results.tables[f"{'diagnose' if self.diagnosed else 'identify'}/{name}.csv"]
 
     def __repr__(self) -> str:
         shown = self._accuracy.to_string(index=False)

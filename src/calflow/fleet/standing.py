@@ -196,15 +196,12 @@ def forget_stale(fleet: Fleet, folder: FleetFolder) -> None:
     Snakemake decides by the dates of files, which copying preserves and a clock set back falsifies.
     """
     for robot in fleet.robots:
-        if not (_is_calibrated(robot, folder) and _is_complete(robot, folder)):
+        stands = False
+        with suppress(InputError):
+            outcome = read_outcome(folder.outcome(robot.name))
+            stands = outcome is not None and outcome.status == "calibrated" and _is_complete(robot, folder)
+        if not stands:
             folder.outcome(robot.name).unlink(missing_ok=True)
-
-
-def _is_calibrated(robot: FleetRobot, folder: FleetFolder) -> bool:
-    with suppress(InputError):
-        outcome = read_outcome(folder.outcome(robot.name))
-        return outcome is not None and outcome.status == "calibrated"
-    return False
 
 
 def arriving(fleet: Fleet, folder: FleetFolder, ended: Callable[[], bool]) -> Iterator[Outcome]:

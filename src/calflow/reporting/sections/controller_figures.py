@@ -56,11 +56,6 @@ class Figure(ControllerFigure):
     determined: bool
 
     @property
-    def is_shown(self) -> bool:
-        """Whether it is not zero, or was fitted."""
-        return bool(self.nominal) or self.fitted
-
-    @property
     def cells(self) -> tuple[str, str]:
         """The value and, where it was fitted, the difference, in brackets where the prior determines it."""
         difference = self.shown(self.difference, "+") if self.fitted else ""
@@ -138,7 +133,7 @@ def figure_tables(what: str, rows: Mapping[str, Sequence[Figure]]) -> list[Table
         header, cells = [what], [[name] for name in rows]
         for symbol in dict.fromkeys(symbol for row in named for symbol in row):
             column = [row.get(symbol) for row in named]
-            if any(figure and figure.is_shown for figure in column):
+            if any(figure and (figure.nominal or figure.fitted) for figure in column):
                 fitted = any(figure and figure.fitted for figure in column)
                 header += [f"{symbol} [{unit}]", *["Δ"] * fitted]
                 for row, figure in zip(cells, column, strict=True):
