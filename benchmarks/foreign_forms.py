@@ -319,6 +319,24 @@ def pivot_aside(h: Hidden, arm: Arm, rows: Rows, now: State) -> Yielding:
     return _turning(h, arm, rows, "bearing", h.i, turn, -np.cross(turn, pivot))
 
 
+def rollers_with_play(h: Hidden, arm: Arm, rows: Rows, now: State) -> Yielding:
+    """A bearing whose rollers take the load one after another, as the moment across grows."""
+    joint = now.joints[h.i]
+    moment = joint.into(now.moment(h.i, joint.place)) * np.array([1, 1, 0])
+    length = np.linalg.norm(moment, axis=1, keepdims=True)
+    taken = np.tanh(length / (h.rng.uniform(0.05, 0.2) * rated(arm, h.i)))
+    return _turning(h, arm, rows, "bearing", h.i, h.size * taken * moment / length)
+
+
+def oval_race(h: Hidden, arm: Arm, rows: Rows, now: State) -> Yielding:
+    """A bearing that is worn more to two sides, and tilts as far as it is worn where the moment presses it."""
+    joint = now.joints[h.i]
+    moment = joint.into(now.moment(h.i, joint.place)) * np.array([1, 1, 0])
+    side = moment / np.linalg.norm(moment, axis=1, keepdims=True)
+    worn = 1 + 0.4 * np.cos(2 * (np.arctan2(side[:, 1], side[:, 0]) - h.rng.uniform(0, 6.28)))
+    return _turning(h, arm, rows, "bearing", h.i, h.size * worn[:, None] * side)
+
+
 def _beam(h: Hidden, arm: Arm, rows: Rows, now: State, soft: Callable[[float], Array]) -> Yielding:
     """Bend and twist link h along its line: soft(place) is curvature per moment (3, 3) where place goes from 0 to 1.
 
@@ -407,6 +425,24 @@ def one_bolt_loose(h: Hidden, arm: Arm, rows: Rows, now: State) -> Yielding:
     return replace(
         Yielding.none(len(rows), arm.n), base=np.concatenate([0 * moment, h.size * (0.5 * moment + more)], axis=1)
     )
+
+
+def rocking_plate(h: Hidden, arm: Arm, rows: Rows, now: State) -> Yielding:
+    """A base plate that rocks by degrees, about a line beside the robot."""
+    away, over = h.rng.uniform(0, 6.28), h.rng.uniform(0.03, 0.1) * rated(arm, 0)
+    line, aside = np.array([np.cos(away), np.sin(away), 0.0]), 0.2 * np.array([-np.sin(away), np.cos(away), 0.0])
+    side = np.tanh(now.moment(0, np.broadcast_to(aside, (len(rows), 3))) @ line / over)
+    turn = h.size * side[:, None] * line
+    return replace(Yielding.none(len(rows), arm.n), base=np.concatenate([-np.cross(turn, aside), turn], axis=1))
+
+
+def lifting_corner(h: Hidden, arm: Arm, rows: Rows, now: State) -> Yielding:
+    """A base plate that lifts off, as far as a bolt lets it, where the moment is enough, and lies flat elsewhere."""
+    away, over = h.rng.uniform(0, 6.28), 0.05 * rated(arm, 0)
+    line = np.array([np.cos(away), np.sin(away), 0.0])
+    lifted = (1 + np.tanh((now.moment(0, np.zeros((len(rows), 3))) @ line - 2 * over) / over)) / 2
+    turn = h.size * lifted[:, None] * line
+    return replace(Yielding.none(len(rows), arm.n), base=np.concatenate([0 * turn, turn], axis=1))
 
 
 def spring_behind(h: Hidden, arm: Arm, rows: Rows, now: State) -> Yielding:
@@ -641,7 +677,7 @@ ANGULAR = {"joint-eccentricity": (0,), "periodic-joint-error": (0,), "gear-trans
            "loaded-transmission-error": (0,)}  # fmt: skip
 DIRECTIONAL = {"joint-backlash": (0,), "joint-hysteresis": (0,), "friction-wind-up": (0,)}
 TORQUE = {"nonlinear-joint-stiffness": (0,), "torque-backlash": (0,)}
-BEARING = {"link-torsion": (0, -1), "link-bending": (0, -1)}
+BEARING = {"bearing-play": (0,), "link-torsion": (0, -1), "link-bending": (0, -1)}
 DEVICE = {"frame-drift": (), "frame-step": (), "session-frame": (), "stand-growth": ()}
 GRAVITY_ARMS = ("large-6", "cobot-6", "arm-7")
 
@@ -701,6 +737,13 @@ def _forms() -> tuple[Form, ...]:
     both("wrist-coupling", "reading", (coupled_with_play, coupled_by_bevels), lambda arm: (5, 6), {}, arms=("large-6",))
     # A turn between link i - 1 and link i under the moment there: a bearing, or the ends of the links at it.
     both("bearing-compliance", "yielding", (soft_both_ways, pivot_aside), lambda arm: arm.tilting, BEARING)
+    both(
+        "bearing-play",
+        "yielding",
+        (rollers_with_play, oval_race),
+        lambda arm: arm.tilting,
+        {"bearing-compliance": (0,)},
+    )
     # A link that bends alike all round gives way as its foot's bearing and the next one's do; it does not twist.
     both("link-bending", "yielding", (tapered_beam,), long, {"bearing-compliance": (0, 1)})
     both("link-bending", "yielding", (skew_beam,), long, {"link-torsion": (0,), "bearing-compliance": (0, 1)})
@@ -715,6 +758,8 @@ def _forms() -> tuple[Form, ...]:
         nowhere,
         {"bearing-compliance": (1,), "link-bending": (1,)},
     )
+    both("base-play", "yielding", (rocking_plate, lifting_corner), nowhere,
+         {"base-compliance": (), "bearing-play": (1,), "bearing-compliance": (1,)}, arms=GRAVITY_ARMS)  # fmt: skip
     both("base-tilt", "yielding", (tilting_corner, one_bolt_loose), nowhere,
          {"base-compliance": (), "bearing-compliance": (1,)}, arms=GRAVITY_ARMS, needs=("no masses",))  # fmt: skip
     both("gravity-deflection", "yielding", (hardening_joints, joints_and_links), nowhere,

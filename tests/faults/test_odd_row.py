@@ -60,7 +60,7 @@ def test_a_row_of_another_payload_than_is_written_is_told_with_that_payload(meas
     assert [(one.cause, one.action, one.lines) for one in told] == [
         ("name-mistyped", "told", tuple(table["line"].iloc[rows]))
     ]
-    assert "fits payload 'full', but another payload is written" in told[0].statement
+    assert "fits payload 'full', which is not what is written" in told[0].statement
 
 
 def test_good_rows_are_not_odd(measured):

@@ -352,20 +352,13 @@ def _of_another_payload(result: Fit, data: Measurements, far: np.ndarray, odd: n
     carrying = (replace(data, table=table.assign(payload=table["payload"].where(~odd, name))) for name in names)
     fits = [odd & (distances(leading_errors(result.model, result.estimate, other)) < limit) for other in carrying]
     only = np.sum(fits, axis=0) == 1
-    statement = (
-        f"what was measured in LINES fits {{}}, but another payload is written; these rows {STAYING}: correct the file"
-    )
+    payloads = {name: f"payload '{name}'" if name else "no payload" for name in names}
+    why = f"which is not what is written; these rows {STAYING}: correct the file"
     return tuple(
-        faulty_rows(
-            MISNAMED,
-            data,
-            np.flatnonzero(fit & only),
-            "told",
-            statement.format(f"payload '{name}'" if name else "none"),
-        )
-        for name, fit in zip(names, fits, strict=True)
-        if (fit & only).any()
-    )
+        faulty_rows(MISNAMED, data, np.flatnonzero(fit & only), "told",
+                    f"what was measured in LINES fits {payloads[name]}, {why}")
+        for name, fit in zip(names, fits, strict=True) if (fit & only).any()
+    )  # fmt: skip
 
 
 def in_range(values: np.ndarray, digits: int = 3) -> str:
