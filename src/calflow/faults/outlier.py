@@ -330,35 +330,35 @@ def odd_rows(result: Fit, data: Measurements, studentised: Studentised) -> tuple
     if not 0 < odd.sum() <= MAX_OUTLIER_SHARE * used.sum():
         return np.zeros(len(data), dtype=bool), ()
     far, leading = distances(error), np.array([o.units[0] for o in result.model.observations])[data.series_number]
-    labelled = _of_another_payload(result, data, far, odd)
-    rest = odd.copy()
-    rest[[correction.row - 1 for found in labelled for correction in found.corrections]] = False
-    if not rest.any():
-        return odd, labelled
-    off = [
-        f"{in_range(unit.shown(far[rest & (leading == unit)]))} {unit.label}" for unit in dict.fromkeys(leading[rest])
-    ]
-    statement = (
-        f"the measured values in LINES do not fit the final model: off by {' or '.join(off)}, "
-        f"{in_range(studentised.whitened[rest], 2)} times the expected; they {STAYING}: measure again"
-    )
-    return odd, (*labelled, faulty_rows("outlier", data, np.flatnonzero(rest), "told", statement))
+    carried = _fitting_payloads(result, data, far, odd)
+    faults = [
+        faulty_rows(MISNAMED, data, np.flatnonzero(rows), "told",
+                    f"what was measured in LINES fits {what}, which is not what is written; they {STAYING}: correct the file")
+        for what, rows in carried.items()
+    ]  # fmt: skip
+    rest = odd & ~sum(carried.values(), np.zeros(len(data), dtype=bool))
+    if rest.any():
+        off = [
+            f"{in_range(unit.shown(far[rest & (leading == unit)]))} {unit.label}"
+            for unit in dict.fromkeys(leading[rest])
+        ]
+        statement = (
+            f"the measured values in LINES do not fit the final model: off by {' or '.join(off)}, "
+            f"{in_range(studentised.whitened[rest], 2)} times the expected; they {STAYING}: measure again"
+        )
+        faults.append(faulty_rows("outlier", data, np.flatnonzero(rest), "told", statement))
+    return odd, tuple(faults)
 
 
-def _of_another_payload(result: Fit, data: Measurements, far: np.ndarray, odd: np.ndarray) -> tuple[Fault, ...]:
-    """Return a fault for each payload with which odd rows (n_rows,), by errors far, agree as the others do, and with no other."""
+def _fitting_payloads(result: Fit, data: Measurements, far: np.ndarray, odd: np.ndarray) -> dict[str, np.ndarray]:
+    """Return, by payload in words, the odd rows (n_rows,), by errors far, that agree with it as others do, and with no other."""
     table, names = data.table, data.table["payload"].unique().tolist()
     limit = np.minimum(far[(data.train | data.held_out) & ~odd].max(), far / FAR_BETTER)
     carrying = (replace(data, table=table.assign(payload=table["payload"].where(~odd, name))) for name in names)
     fits = [odd & (distances(leading_errors(result.model, result.estimate, other)) < limit) for other in carrying]
-    only = np.sum(fits, axis=0) == 1
-    payloads = {name: f"payload '{name}'" if name else "no payload" for name in names}
-    why = f"which is not what is written; these rows {STAYING}: correct the file"
-    return tuple(
-        faulty_rows(MISNAMED, data, np.flatnonzero(fit & only), "told",
-                    f"what was measured in LINES fits {payloads[name]}, {why}")
-        for name, fit in zip(names, fits, strict=True) if (fit & only).any()
-    )  # fmt: skip
+    words = [f"payload '{name}'" if name else "no payload" for name in names]
+    only = {what: fit & (np.sum(fits, axis=0) == 1) for what, fit in zip(words, fits, strict=True)}
+    return {what: rows for what, rows in only.items() if rows.any()}
 
 
 def in_range(values: np.ndarray, digits: int = 3) -> str:
