@@ -351,9 +351,13 @@ def odd_rows(result: Fit, data: Measurements, studentised: Studentised) -> tuple
 
 
 def _fitting_payloads(result: Fit, data: Measurements, far: np.ndarray, odd: np.ndarray) -> dict[str, np.ndarray]:
-    """Return, by payload in words, the odd rows (n_rows,), by errors far, that agree with it as others do, and with no other."""
-    table, names = data.table, data.table["payload"].unique().tolist()
-    limit = np.minimum(far[(data.train | data.held_out) & ~odd].max(), far / FAR_BETTER)
+    """Return, by payload in words, the odd rows (n_rows,), by errors far, that agree with it as others do, and with no other.
+
+    The others are those of a row's series, whose errors are in its unit.
+    """
+    table, names, used = data.table, data.table["payload"].unique().tolist(), (data.train | data.held_out) & ~odd
+    usual = np.array([far[used & data.of_series(k)].max(initial=0.0) for k in range(len(data.series))])
+    limit = np.minimum(usual[data.series_number], far / FAR_BETTER)
     carrying = (replace(data, table=table.assign(payload=table["payload"].where(~odd, name))) for name in names)
     fits = [odd & (distances(leading_errors(result.model, result.estimate, other)) < limit) for other in carrying]
     words = [f"payload '{name}'" if name else "no payload" for name in names]
