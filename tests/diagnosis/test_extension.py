@@ -9,6 +9,7 @@ import pytest
 
 from calflow.diagnosis import extension as extension_module
 from calflow.diagnosis import fitted as fitted_module
+from calflow.diagnosis import screening as screening_module
 from calflow.diagnosis.background import BackgroundBasis
 from calflow.diagnosis.diagnosis import Diagnosis
 from calflow.diagnosis.extension import FittedTrial, extend, weighed, weighed_against
@@ -212,6 +213,26 @@ def test_a_search_that_finds_nothing_that_stays_is_not_repeated(monkeypatch, dat
     last, _ = weighed(start(data), found, basis, catalogue_, Stepwise(GATE, np.random.default_rng(1), nobody, nobody))
     assert searches == [(first, second)]
     assert last.causes == (first,)
+
+
+def test_a_cause_that_hardly_shows_at_last_is_left_out(monkeypatch, data):
+    """Fails if what the data no longer tell from the rest, once all else is in the model, stays in it or ends the diagnosis."""
+    catalogue_ = Catalogue.of(data, ("geometry",), TESTED)
+    found = extend(start(data), catalogue_, GATE, np.random.default_rng(1), lambda _: None)
+    monkeypatch.setattr(extension_module, "_weakest", lambda *_: None)
+    monkeypatch.setattr(extension_module, "_named_instead", lambda *_: None)
+
+    def hiding(_, beside, *more):
+        monkeypatch.setattr(screening_module, "INVISIBLE", np.inf)
+        return beside
+
+    monkeypatch.setattr(extension_module, "_searched", hiding)
+    said = list[str]()
+    search = Stepwise(GATE, np.random.default_rng(1), said.append, nobody)
+    last, findings = weighed(start(data), found, BackgroundBasis.of(start(data)), catalogue_, search)
+    assert found.causes
+    assert last.causes == findings == ()
+    assert sum("hardly shows" in line for line in said) == len(found.causes)
 
 
 def set_up_anew(table):

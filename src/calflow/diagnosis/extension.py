@@ -129,7 +129,8 @@ class FittedTrial(Trial[Cause]):
 
     @cached_property
     def _linear_findings(self) -> list[Detection[Cause]]:
-        return [self.linearisation.finding(cause, self.first.family) for cause in self.causes]
+        every = (self.linearisation.finding(cause, self.first.family) for cause in self.causes)
+        return [finding for finding in every if finding.is_shown]
 
     def _with_rivals_alone(self, finding: Detection[Cause], limit: float) -> Detection[Cause]:
         cause = finding.cause
@@ -183,7 +184,7 @@ def extend(
 def weighed_against(findings: Sequence[Detection[Cause]], wider: FittedTrial) -> tuple[Detection[Cause], ...]:
     """Return the findings with a wider catalogue's candidates as rivals: a cause excluded from the search may be the true one."""
     scores = {finding.cause: finding.scores for finding in wider.weighed_findings}
-    return tuple(replace(finding, scores=scores[finding.cause]) for finding in findings)
+    return tuple(replace(finding, scores=scores.get(finding.cause, finding.scores)) for finding in findings)
 
 
 def largest_first(findings: Sequence[Detection[Cause]], fit: Fit) -> list[Detection[Cause]]:
@@ -279,6 +280,10 @@ def weighed(
         found = ended.fitted
         if frozenset(found.causes) == held:
             break
+    # A cause that was found beside a smaller background, or beside other causes, may hardly show beside these.
+    while hidden := next((finding.cause for finding in ended.own_findings if not finding.is_shown), None):
+        search.say(f"{words(hidden)} hardly shows beside the rest")
+        ended = ended.with_causes([cause for cause in ended.causes if cause != hidden])
     against = unnamed(ended.fitted, basis, catalogue.variants, varying=uneven_or_other_forms)
     carries = dict(zip(against, carrying(ended.fitted, basis, against), strict=True)) if against else {}
     return ended.fitted, tuple(

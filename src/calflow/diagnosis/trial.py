@@ -32,6 +32,11 @@ class Detection(Generic[H]):
     carries_over: bool | None = None
 
     @property
+    def is_shown(self) -> bool:
+        """Whether the data show the cause at all beside the others: it has no score where they hardly tell it from them."""
+        return any(score.cause == self.cause for score in self.scores)
+
+    @property
     def own(self) -> Score[H]:
         """The cause's own score."""
         return next(score for score in self.scores if score.cause == self.cause)

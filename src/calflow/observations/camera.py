@@ -390,7 +390,7 @@ class Camera(Observation):
         if not len(sd) or not len(table):
             return self
         rows = (hand, base, self.reported(table))
-        residual = fixed._of_rows(lambda p, seen, y: fixed.error(p, seen, y), *rows)
+        residual = fixed._of_rows(fixed.error, *rows)
         jacobian = fixed._of_rows(lambda p, seen, y: ca.vec(ca.jacobian(fixed.error(p, seen, y), p)), *rows)
 
         def missed(x: np.ndarray) -> np.ndarray:
