@@ -11,7 +11,7 @@ from scipy.stats import norm
 from calflow.diagnosis.regressors import Candidate, Regressors, TallMatrix
 from calflow.diagnosis.screening import Screening
 from calflow.estimation.variance_components import LOG_PRIOR, SIZES, explained, mixed, spent
-from calflow.linear import Block
+from diagnosis.blocks import Block
 
 
 def density(x):
