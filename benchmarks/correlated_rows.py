@@ -1,11 +1,14 @@
-"""Errors that hang together from row to row, and nothing else: what is named.
+"""Errors that hang together from row to row, and nothing else: what is named, without a robot and with one.
 
-    python benchmarks/correlated_rows.py --cases 60
+    python benchmarks/correlated_rows.py linear --cases 120
+    python benchmarks/correlated_rows.py robot --cases 60
 
-Arms of foreign_physics.py are identified and diagnosed. Errors are AR(1) of 0.5 to 0.95 from row to row, a random walk beside white
-noise, or shared by the 50 readings of each of 30 poses; white ones stand beside them. Their standard deviation is stated in half of
-the cases. A name is false whatever it is, but that a device wanders: errors that shift what is reported, alike in neighbouring
-rows, are that. steady is where the device is said to step, or to go one way.
+Without a robot a cubic course is fitted to readings in time, and switching, waves, steps and decays may be found; with one, arms of
+foreign_physics.py are identified and diagnosed. Errors are AR(1) of 0.5 to 0.95 from row to row, a random walk beside white noise,
+or shared by the 50 readings of each of 30 poses; white ones stand beside them. Their standard deviation is stated in half of the
+cases; who reads without a robot says which rows share an error in half of the cases in which they do. A name is false
+whatever it is, but that a device wanders: errors that shift what is reported, alike in neighbouring rows, are that.
+steady is where the device is said to step, or to go one way.
 """
 
 from __future__ import annotations
@@ -21,6 +24,8 @@ from foreign_physics import ARMS, Array, measured_rows, points, worn
 from foreign_study import identified, names_of, write_study
 from kept_cases import Place, Row
 from scipy.signal import lfilter
+
+from calflow.linear import Block, diagnose_linear
 
 POSES, REPEATS = 30, 50
 WALK = 0.7  # of the errors' variance, what a random walk has of it at its end
@@ -44,7 +49,38 @@ def errors(kind: str, number: int, group: Array, rng: np.random.Generator) -> Ar
     return white
 
 
-def work(place: Place) -> list[Row]:
+def work_linear(place: Place) -> list[Row]:
+    """Readings in time of a course and such errors, diagnosed without a robot."""
+    kind, stated = list(product(ERRORS, (True, False)))[place.number % (2 * len(ERRORS))]
+    rng, shared = place.rng, kind == "shared by poses"
+    number = POSES * REPEATS if shared else int(np.exp(rng.uniform(*np.log([100, 1500]))))
+    group = np.arange(number) // REPEATS
+    said = shared and rng.random() < 0.5
+    time = np.linspace(0, 10, number)
+    course = np.vander(time / 10, 4)
+    residual = course @ rng.normal(size=4) * 5 - errors(kind, number, group, rng)[:, 0]
+    told = diagnose_linear(
+        residual, course, _candidates(time), rng=rng, noise=1.0 if stated else None, groups=group if said else None
+    )
+    return [_row(kind + (", said so" if said else ""), stated, number, [finding.name for finding in told.findings])]
+
+
+def _candidates(time: Array) -> list[Block]:
+    blocks = [Block("switching", np.where(time % period < duty * period, 1.0, 0.0)[:, None], 3.0, f"{period}, {duty}")
+              for period, duty in product((1.7, 2.5), (0.3, 0.5))]  # fmt: skip
+    blocks += [
+        Block("wave", np.column_stack([np.cos(w * time), np.sin(w * time)]), 3.0, f"{w:.2f}")
+        for w in np.linspace(1, 20, 25)
+    ]
+    blocks += [
+        Block("step", (time > moment).astype(float)[:, None], 3.0, f"{moment:.1f}")
+        for moment in np.arange(0.5, 10, 0.5)
+    ]
+    blocks += [Block("decay", np.exp(-time / constant)[:, None], 3.0, f"{constant}") for constant in (0.3, 1.0, 3.0)]
+    return blocks
+
+
+def work_robot(place: Place) -> list[Row]:
     """An arm measured with such errors, identified and diagnosed."""
     kind, stated = list(product(ERRORS, (True, False)))[place.number % (2 * len(ERRORS))]
     rng, shared = place.rng, kind == "shared by poses"
@@ -59,20 +95,23 @@ def work(place: Place) -> list[Row]:
         write_study(folder, arm, rows, seen, sigma=sigma if stated else None, columns=("approach", "time"))
         names = names_of(identified(folder).diagnose())
     steady = names["cause"].isin(DEVICE) & ~names["detail"].fillna("").str.startswith("wandering")
-    causes, probability = list(names["cause"]), ";".join(map(str, names["probability"]))
-    return [{"errors": kind, "stated": stated, "rows": len(rows), "named": bool(causes), "others": bool(set(causes) - DEVICE),
-             "number": len(causes), "names": ";".join(causes), "probability": probability,
-             "steady": bool(steady.any()), "arm": arm.name}]  # fmt: skip
+    row = _row(kind, stated, len(rows), list(names["cause"]), list(names["probability"]))
+    return [row | {"steady": bool(steady.any()), "arm": arm.name}]
+
+
+def _row(kind: str, stated: bool, number: int, names: list[str], probability: list[float] = []) -> Row:  # noqa: B006
+    return {"errors": kind, "stated": stated, "rows": number, "named": bool(names), "others": bool(set(names) - DEVICE),
+            "number": len(names), "names": ";".join(names), "probability": ";".join(map(str, probability))}  # fmt: skip
 
 
 def tell(rows: pd.DataFrame) -> str:
     """How often anything is named, and anything but a device that moves, by kind of errors."""
     rows = rows.assign(correlated=np.where(rows["errors"] == "white", "white", "correlated"))
-    shares = ("named", "steady", "others", "number")
+    shares = [name for name in ("named", "steady", "others", "number") if name in rows]
     shown = {"n": ("named", "size")} | {name: (name, "mean") for name in shares}
     tables = [rows.groupby(keys).agg(**shown).round(3).to_string() for keys in (["correlated"], ["errors", "stated"])]
     return "\n\n".join(tables)
 
 
 if __name__ == "__main__":
-    kept_cases.run_cases(__doc__, {"robot": (work, tell)})
+    kept_cases.run_cases(__doc__, {"linear": (work_linear, tell), "robot": (work_robot, tell)})

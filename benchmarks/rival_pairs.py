@@ -1,11 +1,12 @@
 """Look-alikes of one and of two parameters: whether a stated probability comes true, whichever of the two is hidden.
 
-    python benchmarks/rival_pairs.py --cases 60
+    python benchmarks/rival_pairs.py linear --cases 600    100 to 10,000 rows, the two alone, without a robot
+    python benchmarks/rival_pairs.py robot --cases 60      100 to 1,000 rows, identify and diagnose with the whole catalogue
 
-Arms of 100 to 1,000 rows, identified and diagnosed with the whole catalogue, both truths equally often. Sizes are a 170 kg arm's
-(log-uniform, from a fifth of the least usual one to the largest), those of several parameters in a direction drawn at random;
-joints travel a part of their range, and come from the side to which gravity turns them more often than not. What a cause does is a
-lever of foreign_physics' arms times an input; all geometry and springs are fitted beside it.
+Both truths equally often. Sizes are a 170 kg arm's (log-uniform, from a fifth of the least usual one to the largest), those of
+several parameters in a direction drawn at random; joints travel a part of their range, and come from the side to which gravity
+turns them more often than not. What a cause does is a lever of foreign_physics' arms times an input; all geometry and springs are
+fitted beside it.
 """
 
 from __future__ import annotations
@@ -20,14 +21,17 @@ import kept_cases
 import numpy as np
 import pandas as pd
 from foreign_forms import rated
-from foreign_physics import ARMS, Arm, Array, Frame, Rows, Yielding, measured_rows, points, state, worn
+from foreign_physics import ARMS, Arm, Array, Frame, Rows, Yielding, measured_rows, points, slopes, state, worn
 from foreign_study import identified, joint_of, names_of, write_study
 from kept_cases import Place, Row, calibration_table
 
-ROWS = (100, 1_000)
+from calflow.linear import Block, diagnose_linear
+
+ROWS = {"linear": (100, 10_000), "robot": (100, 1_000)}
 BINS = [0, 0.5, 0.8, 0.9, 0.95, 1]
 CERTAIN = 0.95
 SMALLEST = 0.2  # of the least usual size
+SHOWN = 1e-8  # of the largest, from which a direction of the fitted parameters counts
 USUAL = {  # rad, of device causes m, of what gives way rad/Nm
     "joint-eccentricity": (20e-6, 300e-6), "periodic-joint-error": (50e-6, 400e-6), "gear-ratio-error": (20e-6, 400e-6),
     "joint-backlash": (20e-6, 300e-6), "torque-backlash": (20e-6, 300e-6), "friction-wind-up": (20e-6, 300e-6),
@@ -145,7 +149,7 @@ class Truth:
         """Draw it: the pairs and both of each in turn."""
         rng = place.rng
         pair, which = list(product(PAIRS, (0, 1)))[place.number % (2 * len(PAIRS))]
-        world = World.drawn(int(np.exp(rng.uniform(*np.log(ROWS)))), rng)
+        world = World.drawn(int(np.exp(rng.uniform(*np.log(ROWS[place.kind])))), rng)
         hidden = pair[which]
         variants, act = FORMS[hidden]
         columns = act(world, float(rng.choice(variants)))
@@ -172,7 +176,27 @@ class Truth:
         return [known | row for row in given] or [known | {"name": "", "probability": np.nan, "right": np.nan}]
 
 
-def work(place: Place) -> list[Row]:
+def work_linear(place: Place) -> list[Row]:
+    """Hide one of a pair, and have the method without a robot choose."""
+    truth, rng = Truth.drawn(place), np.random.default_rng([place.seed, place.number, 1])
+    blocks = []
+    for cause in truth.pair:
+        variants, act = FORMS[cause]
+        blocks += [
+            Block(cause, _flat(act(truth.world, variant)), USUAL[cause][1] / 2, f"{variant:g}") for variant in variants
+        ]
+    seen = truth.moved + truth.sigma * rng.standard_normal(truth.moved.shape)
+    slope = slopes(truth.world.arm, truth.world.rows)
+    span, shown, _ = np.linalg.svd(slope / np.maximum(np.linalg.norm(slope, axis=0), 1e-12), full_matrices=False)
+    told = diagnose_linear(-seen.ravel(), span[:, shown > SHOWN], blocks, rng=rng, noise=truth.sigma)
+    return truth.rows([(finding.name, finding.probability) for finding in told.findings])
+
+
+def _flat(columns: Array) -> Array:
+    return columns.reshape(-1, columns.shape[2])
+
+
+def work_robot(place: Place) -> list[Row]:
     """Hide one of a pair in an arm as built, and have it identified and diagnosed."""
     truth, rng = Truth.drawn(place), np.random.default_rng([place.seed, place.number, 1])
     world = truth.world
@@ -210,4 +234,4 @@ def tell(rows: pd.DataFrame) -> str:
 
 
 if __name__ == "__main__":
-    kept_cases.run_cases(__doc__, {"robot": (work, tell)})
+    kept_cases.run_cases(__doc__, {"linear": (work_linear, tell), "robot": (work_robot, tell)})

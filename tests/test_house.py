@@ -18,7 +18,7 @@ FLOORS = (  # an import points to a floor further up this list, or stays within 
     ("model",),
     ("estimation",),
     ("faults", "diagnosis", "sampling", "population"),
-    ("design",),
+    ("design", "linear"),
     ("deployment",),
     ("programs", "importing"),
     ("study", "templates"),

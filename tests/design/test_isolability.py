@@ -17,11 +17,11 @@ from calflow.design.isolability import (
 from calflow.design.planned import Planned
 from calflow.diagnosis.regressors import Candidate, Regressors, TallMatrix
 from calflow.diagnosis.screening import Family, Screening
+from calflow.linear import Block
 from calflow.measurements.series import Series
 from calflow.observations.position import Position
 from calflow.robot.robot import Robot
 from conftest import SMALL
-from diagnosis.blocks import Block
 
 EFFECTS = ("geometry", "joint-compliance")
 POSES = 40

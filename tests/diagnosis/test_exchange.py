@@ -9,7 +9,7 @@ from calflow.diagnosis.screening import Family
 from calflow.diagnosis.stepwise import CauseAcceptance, Stepwise
 from calflow.diagnosis.trial import Screened
 from calflow.estimation.progress import nobody
-from diagnosis.blocks import Block, BlockTrial
+from calflow.linear import Block, LinearProblem, LinearTrial
 
 ROWS = 300
 RNG = np.random.default_rng(1)
@@ -21,7 +21,8 @@ BLOCKS = A, B, BOTH, OTHER = tuple(Block(name, COLUMNS[:, [k]], 1.0) for k, name
 def exchanges(sizes, *found, false_alarm=0.01):
     """What is proposed instead of the blocks found, where blocks of these sizes act beside noise of one."""
     residual = RNG.standard_normal(ROWS) + COLUMNS @ sizes
-    trial = BlockTrial(Screened((), Family({}, 30.0), ROWS - 1), residual, 1.0, BLOCKS, found)
+    problem = LinearProblem(residual, np.ones((ROWS, 1)), np.ones(1), BLOCKS, COLUMNS, True, None)
+    trial = LinearTrial(Screened((), Family({}, 30.0), ROWS - 1), problem, np.random.default_rng(0), found)
     steps = Stepwise(CauseAcceptance(false_alarm, 10), np.random.default_rng(1), nobody, nobody).exchanges(trial)
     return [set(step.causes) for step in steps]
 

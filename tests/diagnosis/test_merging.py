@@ -8,7 +8,7 @@ import pytest
 from calflow.diagnosis.screening import Family
 from calflow.diagnosis.stepwise import CauseAcceptance, Stepwise, kindred, merged
 from calflow.diagnosis.trial import Screened
-from diagnosis.blocks import Block, BlockTrial
+from calflow.linear import Block, LinearProblem, LinearTrial
 
 N = 150
 TIME = np.linspace(0.0, 1.0, N)
@@ -36,7 +36,9 @@ EVERY = (*WAVES, CURVE, OTHER)
 def trial(effect, blocks):
     """A model with some blocks, fitted to an effect (n,) and noise of one tenth."""
     noise = 0.1 * np.random.default_rng(3).standard_normal(N)
-    return BlockTrial(Screened((), Family({}, len(EVERY)), N - 1), effect + noise, 0.1, EVERY, tuple(blocks))
+    matrix = np.hstack([block.matrix for block in EVERY]) / 0.1
+    problem = LinearProblem((effect + noise) / 0.1, np.ones((N, 1)) / 0.1, np.array([10.0]), EVERY, matrix, True, None)
+    return LinearTrial(Screened((), Family({}, len(EVERY)), N - 1), problem, np.random.default_rng(0), tuple(blocks))
 
 
 def smooth():

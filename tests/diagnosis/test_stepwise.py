@@ -13,7 +13,7 @@ from calflow.diagnosis.regressors import Candidate
 from calflow.diagnosis.screening import Family, Score
 from calflow.diagnosis.stepwise import FEW_COLUMNS, MOST_TRIALS, PATIENCE, CauseAcceptance, Stepwise, second_thoughts
 from calflow.diagnosis.trial import Detection, Screened, Trial
-from diagnosis.blocks import Block
+from calflow.linear import Block
 
 FAMILY = Family({}, 1.0)
 LEFT = 100.0  # degrees of freedom, of no importance

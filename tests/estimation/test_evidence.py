@@ -11,7 +11,7 @@ from scipy.stats import norm
 from calflow.diagnosis.regressors import Candidate, Regressors, TallMatrix
 from calflow.diagnosis.screening import Screening
 from calflow.estimation.variance_components import LOG_PRIOR, SIZES, explained, mixed, spent
-from diagnosis.blocks import Block
+from calflow.linear import Block
 
 
 def density(x):

@@ -230,8 +230,9 @@ class Regressors(Generic[H]):
 
     residual (n,), jacobian (n, n_free), precision (n_free,): the fit's, with its priors; pull (n_free,): the priors' part of the
     gradient; matrix (n, n_columns): regressors, with prior_sd (n_columns,); random (n_modes,): indices of a background's amplitudes
-    among the free parameters; posed: share of the residuals that remains if at most six per pose count; added_up: the products,
-    where they follow from others.
+    among the free parameters; amplitude_freedom (n_columns,): degrees of freedom of the variance of each column's amplitude, where
+    errors are correlated without one; posed: share of the residuals that remains if at most six per pose count; added_up: the
+    products, where they follow from others.
     """
 
     residual: np.ndarray
@@ -243,6 +244,7 @@ class Regressors(Generic[H]):
     prior_sd: np.ndarray
     candidates: tuple[Candidate[H], ...]
     random: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=int))
+    amplitude_freedom: np.ndarray | None = None
     posed: float = 1.0
     added_up: RegressorProducts | None = None
 
@@ -337,6 +339,7 @@ class Regressors(Generic[H]):
                 Candidate(candidate.cause, np.arange(span.start, span.stop))
                 for candidate, span in zip(kept, own, strict=True)
             ),
+            amplitude_freedom=None if self.amplitude_freedom is None else self.amplitude_freedom[columns],
             added_up=self.products.only(columns),
         )
 

@@ -343,9 +343,13 @@ class Screening(Generic[H]):
         """Every visible candidate's score, best first."""
         scores = []
         for block in self._blocks:
-            left = np.maximum(self.degrees_of_freedom - block.degrees_of_freedom, 1.0)
+            left = self.degrees_of_freedom - block.degrees_of_freedom
+            if (freedom := self.regressors.amplitude_freedom) is not None:
+                # The median serves few columns, which are alike, and many, of which no single one matters.
+                left = np.minimum(np.median(freedom[block.columns], axis=1), left)
+            left = np.maximum(left, 1.0)
             weighed = self._weighed(block, self.score[block.columns, None], np.array([self.chi2]))
-            p = f_test(weighed.squared[:, 0], self.chi2, block.degrees_of_freedom, self.degrees_of_freedom)
+            p = f_test(weighed.squared[:, 0], self.chi2, block.degrees_of_freedom, self.degrees_of_freedom, left)
             drops, cost = weighed.drops[:, 0], weighed.cost[:, 0]
             scores += [
                 Score(self.regressors.candidates[member], float(drops[k]), float(drops[k] / self.chi2),
@@ -429,15 +433,18 @@ class Screening(Generic[H]):
         return Family(dict(zip(places, scans, strict=True)), tests, MATERIAL * r.posed)
 
 
-def f_test(drops: np.ndarray, chi2: float | np.ndarray, spent: np.ndarray, total: float) -> np.ndarray:
+def f_test(
+    drops: np.ndarray, chi2: float | np.ndarray, spent: np.ndarray, total: float, freedom: np.ndarray | None = None
+) -> np.ndarray:
     """Return the p-values of F tests of drops (n_members, …) of chi² (…), which has total degrees of freedom.
 
-    spent (n_members,) are each member's degrees of freedom.
+    spent (n_members,) are each member's degrees of freedom, freedom (n_members,) those of the denominator's variance, by default
+    all that are left.
     """
     degrees_of_freedom = spent.reshape(-1, *[1] * (drops.ndim - 1))
     left = np.maximum(total - degrees_of_freedom, 1.0)
     ratio = drops / degrees_of_freedom / (np.maximum(chi2 - drops, 1e-12 * chi2) / left)
-    return np.asarray(scipy.special.fdtrc(degrees_of_freedom, left, ratio))
+    return np.asarray(scipy.special.fdtrc(degrees_of_freedom, left if freedom is None else freedom, ratio))
 
 
 def _drawn(rng: np.random.Generator, n: int, precision: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
