@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
@@ -18,8 +20,10 @@ from calflow.model import build
 from calflow.programs import correction
 from calflow.programs.aims import FilterSettings
 from calflow.programs.calibrated_robot import CalibratedRobot
+from calflow.programs.filtering import filter_program
 from calflow.programs.formats import parsed, read_project
 from calflow.programs.target import KrlConfiguration, RapidConfiguration
+from calflow.robot.mechanism import nominal_posture
 from estimation.data import calibration
 from programs.samples import filtered
 from robots import ASKEW, industrial, robot, ur10
@@ -188,6 +192,28 @@ def test_a_controller_shows_the_readings_that_its_configuration_means():
     assert [row.outcome for row in done.rows] == ["unchanged"] * 2
     shown = [(7.962, -5.284, -36.25, 77.661, -51.975, -79.273), (7.962, -5.284, -36.25, -102.339, 51.975, 100.727)]
     np.testing.assert_allclose(np.rad2deg(asked[0]), shown, atol=0.02)
+
+
+@pytest.mark.parametrize(("sign", "turned"), [(1, False), (-1, False), (1, True)])
+def test_the_coupling_that_a_note_states_keeps_the_forearm_level(tmp_path, sign, turned):
+    """Fails if the note on FANUC's joint 3 states a factor with which joint 2 still turns the forearm."""
+    joints = [dict(zip(R2000, values, strict=True)) for values in zip(*R2000.values(), strict=True)]
+    joints[1]["sign"] = sign
+    if turned:  # joint 3's axis, the other way round
+        joints[2]["alpha_deg"], joints[3]["alpha_deg"] = 180.0, joints[3]["alpha_deg"] + 180.0
+    program = tmp_path / "weld.ls"
+    program.write_bytes(fanuc_joints(np.zeros((1, 6)), [0]).encode())
+    (note,) = [
+        note for note in filter_program(calibrated(robot("modified-dh", joints)).calibrated, program).notes
+        if "[[couplings]]" in note
+    ]  # fmt: skip
+    numbers = {key: int(value) for key, value in re.findall(r"(joint|source|factor) = (-?\d+)", note)}
+    coupled = robot("modified-dh", joints, couplings=[numbers])
+    level, leaning = (
+        np.array(ca.DM(nominal_posture(coupled, coupled.reading_matrix @ reading).joints[2][:3, :3]))
+        for reading in ([0, 0.0, 0.2, 0, 0, 0], [0, 0.4, 0.2, 0, 0, 0])
+    )
+    np.testing.assert_allclose(leaning, level, atol=1e-12)
 
 
 def test_base_and_flange_of_the_controller_may_be_elsewhere():

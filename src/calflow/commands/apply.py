@@ -172,7 +172,7 @@ def filter_command(
 
     RAPID, KRL, FANUC LS and URScript are read, in a folder or an archive as one project: tools, frames and targets of
     other files are found there. Every byte but the targets' numbers stays. Give the run's folder, or its study. Exit
-    code: 0 if every target is corrected, 1 if some are not, 2 if the program is refused.
+    code: 0 if every target is corrected, 3 if some are not, 2 if the program is refused.
     """
     from calflow.files.tables import csv_text, to_frame
     from calflow.files.writing import write_whole

@@ -12,6 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from calflow.deployment.conventions import NOTATIONS, UNIT_LENGTH
@@ -28,13 +29,9 @@ from calflow.programs.calibrated_robot import CalibratedRobot
 from calflow.programs.correction import Filtered, filtered, skipped_row
 from calflow.programs.formats import parsed, read_project
 from calflow.programs.target import Maker, Program
+from calflow.robot.frames import PARALLEL
+from calflow.robot.mechanism import nominal_posture
 from calflow.robot.robot import Robot
-
-COUPLED = (
-    "joint targets are taken for readings of the robot file: FANUC shows joint 3 against the horizontal, so joint 2 changes it, "
-    "but the robot file has no [[couplings]] with joint = 3, source = 2, factor = 1; add it unless its figures allow for that"
-)
-
 
 CONDITIONS = ("time", "temperature")  # one value holds for a whole program
 GO_ON = (
@@ -165,10 +162,20 @@ def _rows(robot: Robot, stated: Mapping[str, Any], readings: np.ndarray) -> Meas
 
 
 def _coupled(programs: Sequence[Program], robot: Robot) -> Iterator[str]:
-    """Note the coupling that FANUC's joint targets have."""
+    """Note the coupling that FANUC's joint targets have, where the robot file has none: joint 2 leaves joint 3 level."""
     joint_targets = any(target.turn is None for _, target in all_targets(programs))
-    if programs[0].maker == "fanuc" and joint_targets and not robot.couplings:
-        yield COUPLED
+    if programs[0].maker != "fanuc" or not joint_targets or robot.couplings or len(robot.arm) < 3:
+        return
+    axes, (_, source, joint, *_) = nominal_posture(robot).joints, robot.arm
+    along = float(ca.DM(ca.dot(axes[source][:3, 2], axes[joint][:3, 2])))
+    if abs(along) < np.cos(PARALLEL):
+        return
+    factor = -robot.joints[source].sign * round(along)
+    yield (
+        "joint targets are taken for readings of the robot file: FANUC shows joint 3 against the horizontal, so joint 2 changes it, but "
+        f"the robot file has no [[couplings]] with joint = {joint + 1}, source = {source + 1}, factor = {factor}; add it unless its "
+        "figures allow for that"
+    )
 
 
 def _start(robot: Robot, start: Sequence[float] | None) -> tuple[float, ...] | None:
