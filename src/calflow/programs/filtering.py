@@ -172,9 +172,9 @@ def _coupled(programs: Sequence[Program], robot: Robot) -> Iterator[str]:
         return
     factor = -robot.joints[source].sign * round(along)
     yield (
-        "joint targets are taken for readings of the robot file: FANUC shows joint 3 against the horizontal, so joint 2 changes it, but "
-        f"the robot file has no [[couplings]] with joint = {joint + 1}, source = {source + 1}, factor = {factor}; add it unless its "
-        "figures allow for that"
+        "joint targets are taken for readings of the robot file: FANUC shows joint 3 against the horizontal, so joint 2 changes "
+        f"it, but the robot file has no [[couplings]] with joint = {joint + 1}, source = {source + 1}, factor = {factor}; add it "
+        "unless its figures allow for that"
     )
 
 
