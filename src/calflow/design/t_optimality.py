@@ -7,11 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 import scipy
 
-from calflow.design.search import updated
 from calflow.diagnosis.stepwise import WITHIN
 
 Pair = tuple[int, int]  # of explanations, by their numbers: the true and the fitted one
@@ -49,13 +49,15 @@ class Discrimination:
     """Explanations of the same data, each fitted to the effects of all, and the poses that may be measured next.
 
     squared (n, n) [sd²]: squared separations by the true and the fitted one; costs (n,): of each, up to a common constant. By the
-    fitted one, slopes (n_poses, n_units, n_fit): Jacobian J of the poses; left (n_poses, n_units, n_fit + n): J C, C the
-    covariance of its parameters, and the residual of its best fit to the effect of each.
+    fitted one, slopes (n_poses, n_units, n_fit): Jacobian J of the poses; covariance (n_fit, n_fit): of its parameters, C; spread
+    (n_poses, n_units, n_units): I + J C Jᵀ; left (n_poses, n_units, n): residual of its best fit to the effect of each.
     """
 
     squared: np.ndarray
     costs: np.ndarray
     slopes: tuple[np.ndarray, ...]
+    covariance: tuple[np.ndarray, ...]
+    spread: tuple[np.ndarray, ...]
     left: tuple[np.ndarray, ...]
 
     @staticmethod
@@ -80,17 +82,18 @@ class Discrimination:
         true = np.zeros((len(products), len(own)))
         for k, (columns, effect) in enumerate(zip(own, effects, strict=True)):
             true[columns, k] = effect
-        moments, squared, slopes, left = products @ true, [], [], []
+        moments, squared, every = products @ true, [], []
         for columns in own:
             fit = np.concatenate([common, columns])
             covariance = np.linalg.inv(products[np.ix_(fit, fit)] + np.eye(len(fit)))
             imitating = covariance @ moments[fit]
             squared.append((true * moments).sum(axis=0) - (moments[fit] * imitating).sum(axis=0))
-            slopes.append(new[..., fit])
-            left.append(np.concatenate([slopes[-1] @ covariance, new @ true - slopes[-1] @ imitating], axis=2))
-        if not all(np.isfinite(values).all() for values in (*squared, *left)):
+            slopes = new[..., fit]
+            spread = np.eye(new.shape[1]) + slopes @ covariance @ slopes.transpose(0, 2, 1)
+            every.append((slopes, covariance, spread, new @ true - slopes @ imitating))
+        if not all(np.isfinite(values).all() for values in (*squared, *chain.from_iterable(every))):
             raise ArithmeticError("what one cause does and another imitates is not finite")
-        return Discrimination(np.transpose(squared), np.array(costs), tuple(slopes), tuple(left))
+        return Discrimination(np.transpose(squared), np.array(costs), *zip(*every, strict=True))
 
     def __getitem__(self, pair: Pair) -> TCriterion:
         true, fitted = pair
@@ -103,21 +106,21 @@ class Discrimination:
     def growth(self, pair: Pair) -> np.ndarray:
         """Return the increase of a pair's squared separation by each further pose, shape (n_poses,)."""
         true, fitted = pair
-        slopes, left = self.slopes[fitted], self.left[fitted]
-        spread = np.eye(slopes.shape[1]) + left[..., : slopes.shape[2]] @ slopes.transpose(0, 2, 1)
-        residual = left[..., slopes.shape[2] + true]
-        return np.asarray((residual * np.linalg.solve(spread, residual[..., None])[..., 0]).sum(axis=1))
+        residual = self.left[fitted][..., true]
+        return np.asarray((residual * np.linalg.solve(self.spread[fitted], residual[..., None])[..., 0]).sum(axis=1))
 
     def measured(self, pose: int, fitted: Collection[int]) -> Discrimination:
-        """Return the discrimination after one more pose, by some of the fitted explanations."""
-        squared, every = self.squared.copy(), list(self.left)
+        """Return the discrimination after one more pose, by some of the fitted explanations (Woodbury 1950)."""
+        squared, covariance, spread, left = self.squared.copy(), *map(list, (self.covariance, self.spread, self.left))
         for k in fitted:
-            slopes, left = self.slopes[k][pose], self.left[k]
-            covariances, residuals = np.split(left[pose], [slopes.shape[1]], axis=1)
-            spread = np.eye(len(slopes)) + covariances @ slopes.T
-            squared[:, k] += (residuals * np.linalg.solve(spread, residuals)).sum(axis=0)
-            every[k] = updated(left, slopes, left[pose], +1)
-        return replace(self, squared=squared, left=tuple(every))
+            inverse, residual = np.linalg.inv(spread[k][pose]), left[k][pose]
+            gain = covariance[k] @ self.slopes[k][pose].T
+            shared = np.tensordot(self.slopes[k], gain, 1)  # one product; `@` makes one for each pose
+            squared[:, k] += (residual * (inverse @ residual)).sum(axis=0)
+            covariance[k] = covariance[k] - gain @ inverse @ gain.T
+            spread[k] = spread[k] - shared @ inverse @ shared.transpose(0, 2, 1)
+            left[k] = left[k] - shared @ (inverse @ residual)
+        return replace(self, squared=squared, covariance=tuple(covariance), spread=tuple(spread), left=tuple(left))
 
     def propose(self, pairs: Sequence[Pair], number: int) -> tuple[list[int], dict[Pair, TCriterion]]:
         """Choose poses one by one for the smallest criterion; return them and each pair's smaller criterion after them."""
