@@ -98,6 +98,7 @@ CELLS = {
     "many": (with_columns(x_mm=""), [*(f"{line}: column 'x_mm' is empty" for line in range(2, 7)), " column 'x_mm' is empty"]),
     "no pose": (put("pose", 3, ""), ["5: column 'pose' is empty"]),
     "unknown payload": (put("payload", 3, "havy"), ["5: unknown payload 'havy'; the robot file has light, heavy, did you"]),
+    "no marker": (put("marker", 3, ""), ["5: column 'marker' is empty; the robot file has tool"]),
     "unknown marker": (put("marker", 3, "tol"), ["5: unknown marker 'tol'; the robot file has tool, did you mean 'tool'?"]),
     "approach": (approached("2"), [*(f"{line}: approach3: expected -1, 0 or 1" for line in range(2, 7)), " approach3"]),
     "approach missing": (both(approached("0"), put("approach3", 1, "")), ["3: column 'approach3' is empty"]),
@@ -263,7 +264,7 @@ def test_a_broken_matlab_file_is_refused(small, content):
 SOURCES = {
     "no such file": (("measurements.csv", "other.csv"), "other.csv: no such measurement file"),
     "misspelt file": (("measurements.csv", "measurments.csv"), "did you mean 'measurements.csv'?"),
-    "a folder": (("measurements.csv", "."), "no such measurement file"),
+    "a folder": (("measurements.csv", "."), "cannot be read: not a regular file but a folder"),
     "no hash": (("[split]", 'sha256 = ""\n[split]'), "study.toml:10: measurements.sha256: expected 64 digits"),
     "another hash": (("[split]", f'sha256 = "{"a" * 64}"\n[split]'), "measurements.csv: wrong SHA-256: the study names aaa"),
     "sigma twice": (("[split]", "sigma_mm = 1\n[split]"), "measurements.csv:1: column 'sigma_mm': the study's"),

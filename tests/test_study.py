@@ -157,3 +157,12 @@ def test_problems_read_as_one_line_each():
 def test_the_nearest_name_is_offered_only_where_there_is_one(word, expected):
     """Fails if case hides a name, or a far-fetched one is offered."""
     assert nearest(word, ["x_mm", "payload"]) == (f", did you mean {expected}?" if expected else "")
+
+
+def test_a_folder_of_studies_names_them(small):
+    """Fails if a folder that holds studies of other names is said to have none, or its other files are taken for studies."""
+    for name in ("one", "two"):
+        (small / f"{name}.toml").write_bytes((small / "study.toml").read_bytes())
+    (small / "study.toml").unlink()
+    with pytest.raises(InputError, match=r"study\.toml: no such file: expected \S*one\.toml or \S*two\.toml$"):
+        load_study(small.path)

@@ -19,7 +19,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from calflow.files.data_package import DATA_PACKAGE, data_package
 from calflow.files.plugins import packages
-from calflow.files.problems import Problem, refuse, refuse_any
+from calflow.files.problems import Problem, nearest_file, refuse, refuse_any
 from calflow.files.tables import SUM, Results, checksum_matches, read_csv, with_checksum, write_results
 from calflow.files.toml import read_toml
 from calflow.files.writing import contained, write_text, write_whole
@@ -168,7 +168,8 @@ def manifest_of(folder: Path) -> Manifest:
         InputError: the folder holds no run, or as for `read_manifest`.
     """
     if (manifest := read_manifest(folder)) is None:
-        raise refuse("holds no run: expected a folder that 'calflow run' has filled", folder)
+        found = "holds no run" if folder.exists() else f"no such folder{nearest_file(folder)}"
+        raise refuse(f"{found}: expected a folder that 'calflow run' has filled", folder)
     return manifest
 
 
@@ -196,7 +197,8 @@ def run_folder(study_or_run: Path) -> Path:
         return study_or_run
     is_study = study_or_run.suffix == ".toml" or study_or_run.is_file() or (study_or_run / "study.toml").exists()
     if not is_study:
-        raise refuse("holds no run: expected a folder that 'calflow run' has filled, or a study", study_or_run)
+        found = "holds no run" if study_or_run.exists() else f"no such folder{nearest_file(study_or_run)}"
+        raise refuse(f"{found}: expected a folder that 'calflow run' has filled, or a study", study_or_run)
     return default_folder(load_study(study_or_run))
 
 

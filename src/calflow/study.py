@@ -6,6 +6,7 @@ import datetime
 import os
 import re
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -21,6 +22,7 @@ from calflow.files.problems import (
     NoSuchFile,
     Problem,
     nearest,
+    nearest_file,
     refuse,
     refuse_any,
     regular_file,
@@ -537,15 +539,25 @@ def study_path(path: Path) -> Path:
 def _read_study(path: Path) -> StudyFile:
     """Return the content of a study file; refuse other files with a message that says what they are."""
     if not path.suffix and not os.path.exists(path):
-        raise refuse(f"no such file or folder in {Path.cwd()}: expected a study's folder, or its file", path)
+        found = f"no such file or folder in {Path.cwd()}{nearest_file(path)}"
+        raise refuse(f"{found}: expected a study's folder, or its file", path)
     if path.name == "study.toml" and os.path.isdir(path.parent) and not path.exists():
-        raise refuse(f"no such file: expected a study in folder {path.parent}; calflow new writes one", path)
+        others = " or ".join(str(file) for file in sorted(path.parent.glob("*.toml")) if _may_be_study(file))
+        expected = others or f"a study in folder {path.parent}; calflow new writes one"
+        raise refuse(f"no such file: expected {expected}", path)
     if path.suffix == ".csv":
         raise refuse("is a table: expected a study's folder, or its file; calflow import brings a table into one", path)
     raw, origin = parse_toml(path)
     if "robot" not in raw and ("joints" in raw or "urdf" in raw):
         raise refuse("is a robot file: expected the study that names it, such as study.toml", path)
     return validate_table(raw, StudyFile, origin)
+
+
+def _may_be_study(path: Path) -> bool:
+    """Whether a file names a robot and a workflow, as only studies do."""
+    with suppress(InputError):
+        return {"robot", "workflow"} <= set(parse_toml(path)[0])
+    return False
 
 
 def load_study(path: str | Path) -> Study:

@@ -5,6 +5,10 @@ from __future__ import annotations
 import pandas as pd
 import pytest
 
+import calflow.commands.check
+import calflow.commands.study
+from calflow.files.problems import InputError
+from calflow.files.writing import write_text
 from conftest import in_process
 from runs.test_filter import PROGRAM
 
@@ -40,6 +44,36 @@ def test_a_file_that_holds_something_else_is_left_unless_forced(finished, comman
 
 
 @pytest.mark.parametrize(
+    ("command", "option", "there"),
+    [(command, written[-1], "a folder") for command, written in WRITTEN.items()]
+    + [(command, "--out", "a file") for command in ("drift", "next", "validate")],
+)
+def test_a_place_of_another_kind_is_refused_before_anything_is_computed(finished, monkeypatch, command, option, there):
+    """Fails if a folder in place of a file, or a file in place of a folder, shows after minutes, or as trouble of the machine."""
+    monkeypatch.setattr(calflow.commands.check.cf.Calibration, "load", None)
+    monkeypatch.setattr(calflow.commands.study.cf, "load_study", None)
+    mine = finished / "mine"
+    if there == "a folder":
+        mine.mkdir()
+    else:
+        mine.write_text("mine", encoding="utf-8")
+    needed = {"export": ("--to", "dh"), "next": ()}.get(command, ("measurements.csv",))
+    *_, told = finished.refused(command, finished / "runs", *needed, option, mine)
+    assert told.startswith(f"Error: Invalid value for '{option}': ")
+    assert "mine" in told
+
+
+def test_a_folder_that_cannot_be_made_is_the_users_and_not_the_machines(finished):
+    """Fails if a name below a file, or that of a folder, is trouble of the machine, with exit code 1."""
+    (finished / "mine").write_text("mine", encoding="utf-8")
+    rows = finished / "measurements.csv"
+    *_, told = finished.refused("check-poses", finished / "runs", rows, "--out", finished / "mine" / "poses.csv")
+    assert told == "mine/poses.csv: cannot be written: mine is no folder"
+    with pytest.raises(InputError, match="is a folder: expected the name of a file"):
+        write_text(finished / "runs", "mine")
+
+
+@pytest.mark.parametrize(
     ("arguments", "told"),
     [
         (("check-poses", "--number", 2), "--number: expected 3 to 20"),
@@ -53,6 +87,12 @@ def test_an_option_is_called_by_its_name(finished, arguments, told):
     command, *options = arguments
     (said,) = finished.refused(command, finished / "runs", finished / "measurements.csv", *options)
     assert said.startswith(told)
+
+
+def test_the_probability_of_next_is_called_by_its_name(finished):
+    """Fails if the user of --probability is told of a confidence."""
+    (told,) = finished.refused("next", finished / "study.toml", "--probability", 95)
+    assert told.startswith("--probability: expected a number less than 1")
 
 
 def test_an_interrupted_command_that_cannot_resume_does_not_say_so(finished, monkeypatch):

@@ -14,6 +14,7 @@ import click
 import calflow as cf
 from calflow.commands.console import (
     FILE,
+    NEW_FILE,
     NOT_WELL,
     OVER,
     ArgumentCommand,
@@ -46,7 +47,7 @@ NOTES_PRINTED = 20  # most notes of one kind that are printed
 @cli.command("predict")
 @click.argument("study_or_run", type=FILE)
 @click.argument("rows", metavar="ROWS.csv", type=FILE)
-@click.option("--out", type=FILE, help="CSV to write; printed by default.")
+@click.option("--out", type=NEW_FILE, help="CSV to write; printed by default.")
 @OVER
 @WITHOUT_CONDITIONS
 def predict_command(study_or_run: Path, rows: Path, out: Path | None, force: bool, without_conditions: bool) -> None:
@@ -68,7 +69,7 @@ def predict_command(study_or_run: Path, rows: Path, out: Path | None, force: boo
 @cli.command("compensate")
 @click.argument("study_or_run", type=FILE)
 @click.argument("targets", metavar="TARGETS.csv", type=FILE)
-@click.option("--out", type=FILE, help="CSV to write; printed by default.")
+@click.option("--out", type=NEW_FILE, help="CSV to write; printed by default.")
 @OVER
 @click.option(
     "--frames", type=FILE, help="TOML file of the frames that a column 'frame' names, besides measuring and base."
@@ -125,7 +126,7 @@ def _rms(values: pd.Series) -> float:
     "into the controller's own files, given with --beside).",
 )  # fmt: skip
 @click.option("--beside", type=FILE, multiple=True, help="The controller's own file as it is today; may be repeated.")
-@click.option("--out", type=FILE, help="File to write; printed by default.")
+@click.option("--out", type=NEW_FILE, help="File to write; printed by default.")
 @OVER
 def export_command(study_or_run: Path, to: Format, beside: tuple[Path, ...], out: Path | None, force: bool) -> None:
     """Write the calibrated robot for other programs, and say what their format cannot hold.
@@ -144,7 +145,7 @@ def export_command(study_or_run: Path, to: Format, beside: tuple[Path, ...], out
 @click.argument("program", metavar="PROGRAM|FOLDER|BACKUP.zip", type=FILE)
 @click.option("--out", type=FILE, help="What to write; NAME.corrected.EXT beside the program by default.")
 @OVER
-@click.option("--summary", type=FILE, help="CSV to write with what became of each target.")
+@click.option("--summary", type=NEW_FILE, help="CSV to write with what became of each target.")
 @click.option("--payload", help='What is carried, by its name in the robot file; "": nothing.')
 @click.option(
     "--tool",

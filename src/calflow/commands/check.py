@@ -12,6 +12,8 @@ import calflow as cf
 from calflow.commands.console import (
     FALSE_ALARM,
     FILE,
+    FOLDER,
+    NEW_FILE,
     NUMBER,
     OVER,
     STATION,
@@ -77,7 +79,7 @@ def _counted(path: Path, data: Measurements) -> str:
 @click.argument("study_or_run", type=FILE)
 @click.argument("data", metavar="MEASURED.csv", type=FILE)
 @click.option("--number", type=int, default=8, show_default=True, help="How many poses to choose.")
-@click.option("--out", type=FILE, help="CSV to write; printed by default.")
+@click.option("--out", type=NEW_FILE, help="CSV to write; printed by default.")
 @OVER
 def check_poses_command(study_or_run: Path, data: Path, number: int, out: Path | None, force: bool) -> None:
     """Choose from the poses in MEASURED.csv those by which `calflow drift` can best tell what has moved.
@@ -117,7 +119,7 @@ def check_poses_command(study_or_run: Path, data: Path, number: int, out: Path |
     help="What the robot had been given when it was measured; corrected commands where NEW.csv states targets.",
 )
 @click.option(
-    "--out", type=FILE, help="Folder for tables and report; validate/<name of NEW.csv> in the run folder by default."
+    "--out", type=FOLDER, help="Folder for tables and report; validate/<name of NEW.csv> in the run folder by default."
 )
 def validate_command(
     study_or_run: Path, data: Path, out: Path | None, tolerance_mm: float | None, tolerance: float | None, series: str,
@@ -159,7 +161,7 @@ def validate_command(
 @FALSE_ALARM
 @STATION
 @click.option(
-    "--out", type=FILE, help="Folder for tables and report; drift/<name of NEW.csv> in the run folder by default."
+    "--out", type=FOLDER, help="Folder for tables and report; drift/<name of NEW.csv> in the run folder by default."
 )
 def drift_command(study_or_run: Path, data: Path, false_alarm: float, station: Station, out: Path | None) -> None:
     """Tell by five to ten check poses in NEW.csv whether anything has moved since the calibration, and what.

@@ -24,6 +24,10 @@ STAGE = click.option("--stage", help="This stage alone, with what it needs.")
 FORCE = click.option("--force", is_flag=True, help="Do not reuse earlier results.")
 OVER = click.option("--force", is_flag=True, help="Write over a file that holds something else.")
 FILE = click.Path(path_type=Path)
+NEW_FILE, FOLDER = (
+    click.Path(path_type=Path, dir_okay=False, readable=False),
+    click.Path(path_type=Path, file_okay=False),
+)
 # Exit codes of a negative verdict, of an undecided one, and of poses that could not reveal anything.
 NOT_WELL, NOT_TOLD, NOT_SEEN = 3, 4, 5
 STATION = click.option(

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from calflow.commands.console import FILE, cli, say, say_notes
+from calflow.commands.console import FILE, FOLDER, cli, say, say_notes
 from calflow.files.deferred import pd
 from calflow.files.problems import Problem, escaped, refuse, refuse_any
 from calflow.files.words import plural
@@ -23,7 +23,7 @@ MOST_SAID = 10  # most images left out that are named
 @click.option(
     "--joints", type=FILE, help="CSV of joint readings, q1_deg …, a row an image, named by its column 'image'."
 )
-@click.option("--into", type=FILE, default=Path("."), help="Folder of the study; the working folder by default.")
+@click.option("--into", type=FOLDER, default=Path("."), help="Folder of the study; the working folder by default.")
 def detect_command(images: tuple[Path, ...], target: Path, joints: Path | None, into: Path) -> None:
     """Find the points of a printed target in images, and write them as measurements.
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from calflow.commands.console import FILE, NOT_WELL, NUMBER, cli, progress, resumable, say
+from calflow.commands.console import FILE, FOLDER, NOT_WELL, NUMBER, cli, progress, resumable, say
 
 if TYPE_CHECKING:
     from calflow.fleet.engine import FleetFolder
@@ -24,7 +24,7 @@ ALLOW = click.option(
     metavar="FOLDER",
     help="A folder besides the fleet file's own in which it may name files; may be repeated.",
 )
-OUT = click.option("--out", type=FILE, help="The fleet's folder; runs/<fleet name> by default.")
+OUT = click.option("--out", type=FOLDER, help="The fleet's folder; runs/<fleet name> by default.")
 
 
 @cli.group("fleet")

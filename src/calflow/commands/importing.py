@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 import calflow as cf
-from calflow.commands.console import FILE, NUMBER, cli, say, say_notes, show_table
+from calflow.commands.console import FILE, FOLDER, NUMBER, cli, say, say_notes, show_table
 from calflow.files.problems import Problem, escaped, refuse, refuse_any
 from calflow.files.words import plural
 
@@ -23,7 +23,7 @@ MEASURED, STUDY, ROBOT = "measurements.csv", "study.toml", "robot.toml"
 @cli.command("import")
 @click.argument("files", metavar="FILE…", type=FILE, nargs=-1, required=True)
 @click.option("--robot", type=FILE, help="Robot file; by default robot.toml in the study's folder.")
-@click.option("--into", type=FILE, default=Path("."), help="Folder of the study; the working folder by default.")
+@click.option("--into", type=FOLDER, default=Path("."), help="Folder of the study; the working folder by default.")
 @click.option(
     "--column", "columns", multiple=True, metavar="OURS=NAME",
     help="What a column of the files is, if calflow cannot tell: q1_deg=A1, x_mm=Xist; q3_deg=-A3 counts the other way.",

@@ -13,6 +13,8 @@ import calflow as cf
 from calflow.commands.console import (
     FALSE_ALARM,
     FILE,
+    FOLDER,
+    NEW_FILE,
     NOT_WELL,
     OVER,
     ArgumentCommand,
@@ -33,7 +35,7 @@ COLUMNS_TOLD = 12  # most columns that are reported individually
 
 @cli.command("pack")
 @click.argument("run", type=FILE)
-@click.option("--out", type=FILE, help="Archive to write; RUN.zip beside the run folder by default.")
+@click.option("--out", type=NEW_FILE, help="Archive to write; RUN.zip beside the run folder by default.")
 @click.option("--licence", default="", metavar="SPDX", help="Under which terms the files may be used, e.g. CC-BY-4.0.")
 @click.option("--author", multiple=True, metavar="NAME", help="Who made the measurements or the run; may be repeated.")
 @OVER
@@ -55,7 +57,7 @@ def pack_command(run: Path, out: Path | None, licence: str, author: tuple[str, .
 
 @cli.command("reproduce")
 @click.argument("run", type=FILE)
-@click.option("--out", type=FILE, help="Empty folder to keep the study, its run and the differences in.")
+@click.option("--out", type=FOLDER, help="Empty folder to keep the study, its run and the differences in.")
 def reproduce_command(run: Path, out: Path | None) -> None:
     """Run RUN, a run folder or an unpacked archive, again from its own inputs, and tell bit by bit what differs.
 
@@ -127,7 +129,7 @@ def _line(deviation: Deviation) -> str:
 
 @cli.command("compare")
 @click.argument("runs", metavar="RUN RUN…", type=FILE, nargs=-1, required=True)
-@click.option("--out", type=FILE, help="Folder for tables and report; nothing is kept by default.")
+@click.option("--out", type=FOLDER, help="Folder for tables and report; nothing is kept by default.")
 def compare_command(runs: tuple[Path, ...], out: Path | None) -> None:
     """Compare runs: settings, data, parameters with the significance of their difference, accuracy and causes."""
     from calflow.reporting.comparison_report import comparison_lines, comparison_report
@@ -145,7 +147,7 @@ def compare_command(runs: tuple[Path, ...], out: Path | None) -> None:
 @cli.command("history", cls=ArgumentCommand)
 @click.argument("runs", metavar="RUN RUN…", type=FILE, nargs=-1, required=True)
 @FALSE_ALARM
-@click.option("--out", type=FILE, help="Folder for tables and report; nothing is kept by default.")
+@click.option("--out", type=FOLDER, help="Folder for tables and report; nothing is kept by default.")
 def history_command(runs: tuple[Path, ...], false_alarm: float, out: Path | None) -> None:
     """Tell which parameters of one robot moved between its calibrations, when, by how much, and what to recalibrate.
 

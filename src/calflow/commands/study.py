@@ -11,6 +11,8 @@ import click
 import calflow as cf
 from calflow.commands.console import (
     FILE,
+    FOLDER,
+    NEW_FILE,
     NOT_TOLD,
     NUMBER,
     OVER,
@@ -79,7 +81,7 @@ def new_command(folder: Path, robot: str, tip: tuple[str, ...], base: str | None
 
 @cli.command("simulate")
 @click.argument("truth", type=FILE)
-@click.option("--out", type=FILE, help="Measurement CSV; measurements.csv beside the truth file by default.")
+@click.option("--out", type=NEW_FILE, help="Measurement CSV; measurements.csv beside the truth file by default.")
 @OVER
 def simulate_command(truth: Path, out: Path | None, force: bool) -> None:
     """Write the measurements that a truth file describes."""
@@ -99,10 +101,12 @@ def simulate_command(truth: Path, out: Path | None, force: bool) -> None:
 )
 @click.option("--number", type=int, default=10, show_default=True, help="How many poses to propose.")
 @click.option("--tolerance-mm", type=NUMBER, help="Of the tool's true error over the task; the study's by default.")
-@click.option("--probability", type=NUMBER, default=0.95, show_default=True, help="Of meeting it, at which to stop.")
-@click.option("--out", type=FILE, help="Folder for poses.csv and verdict.json; nothing is written by default.")
+@click.option(
+    "--probability", "confidence", type=NUMBER, default=0.95, show_default=True, help="Of meeting it, at which to stop."
+)
+@click.option("--out", type=FOLDER, help="Folder for poses.csv and verdict.json; nothing is written by default.")
 def next_command(
-    study: Path, rows: tuple[Path, ...], number: int, tolerance_mm: float | None, probability: float, out: Path | None
+    study: Path, rows: tuple[Path, ...], number: int, tolerance_mm: float | None, confidence: float, out: Path | None
 ) -> None:
     """Say after each batch of measurements whether they are enough, and which poses to measure next.
 
@@ -120,7 +124,7 @@ def next_command(
     trouble = Console(stderr=True, highlight=False, markup=False)
     with trouble.status("measured so far …"):
         measured = with_rows(cf.load_study(study), rows)
-        step = cf.next_poses(measured, number, tolerance, probability, say=lambda line: trouble.print(escaped(line)))
+        step = cf.next_poses(measured, number, tolerance, confidence, say=lambda line: trouble.print(escaped(line)))
     say(*next_lines(step.verdict))
     if len(step.poses):
         load = step.poses["payload"].iloc[0] or "no payload"

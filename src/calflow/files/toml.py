@@ -362,7 +362,9 @@ def read_text(path: Path) -> str:
     """
     try:
         return regular_file(path).read_text(encoding="utf-8-sig")
-    except (OSError, ValueError) as error:  # not UTF-8
+    except UnicodeDecodeError as error:
+        raise refuse(f"is not a text file in UTF-8: found the byte {error.object[error.start]:#04x}", path) from None
+    except (OSError, ValueError) as error:
         raise refuse(f"cannot be read: {error}", path) from None
 
 

@@ -29,8 +29,13 @@ def write_whole(path: Path, content: bytes) -> None:
     The temporary name is random, so that no existing link can redirect the write; a link at the path is replaced.
 
     Raises:
+        InputError: a folder is there, or a file where its folder should be.
         OSError: it cannot be written; its file is the path that was asked for.
     """
+    if path.is_dir():
+        raise refuse("is a folder: expected the name of a file", path)
+    if file := next((above for above in path.parents if above.exists() and not above.is_dir()), None):
+        raise refuse(f"cannot be written: {file} is no folder", path)
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f".{secrets.token_hex(8)}{PART}")
     try:

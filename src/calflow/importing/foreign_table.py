@@ -127,7 +127,7 @@ def _of_text(path: Path) -> ForeignTable:
         )
     separator = SEPARATORS[-max(tables)[1]]
     separator_words = {"\t": "tabs", " ": "blanks"}.get(separator, f"'{separator}'")
-    table = _separated(path, text, separator, (f"columns between {separator_words}", *written))
+    table = _separated(path, text, separator, (f"columns separated by {separator_words}", *written))
     if table is None:
         raise refuse("its lines differ in form: perhaps a quote is opened and not closed", path)
     return table

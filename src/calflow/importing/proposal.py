@@ -98,8 +98,8 @@ def stated_columns(pairs: Sequence[str]) -> dict[str, str]:
         kind = "q1" + ours[ours.find("_") :] if ours[:1] == "q" and ours[1:].split("_")[0].isdigit() else ours
         if not sign or not theirs or kind not in names:
             raise refuse(
-                f"expected OURS=NAME, found '{pair}'{nearest(ours, names)}. OURS may be q1_deg …, x_mm, y_mm, z_mm, time_s, pose, "
-                "marker or payload; a study reads other columns by [measurements.columns]",
+                f"expected OURS=NAME, found '{pair}'{nearest(ours, names) or '.'} OURS may be q1_deg …, x_mm, y_mm, z_mm, "
+                "time_s, pose, marker or payload; a study reads other columns by [measurements.columns]",
                 key="--column",
             )
         stated[ours] = theirs

@@ -307,8 +307,9 @@ def _names(table: pd.DataFrame, robot: Robot, path: Path | None) -> list[Problem
         unknown = [value for value in table[name].unique() if value not in allowed and not (optional and value == "")]
         names = ", ".join(allowed) or "none"
         for value in unknown[:MOST_TOLD]:
+            unlike = f"unknown {name} '{value}'" if value else f"column '{name}' is empty"
             problems += at_rows(table[name] == value, table, path,
-                                f"unknown {name} '{value}'; the robot file has {names}{nearest(value, allowed)}")  # fmt: skip
+                                f"{unlike}; the robot file has {names}{nearest(value, allowed)}")  # fmt: skip
         if len(unknown) > MOST_TOLD:
             problems.append(Problem(f"and {len(unknown) - MOST_TOLD} more names of a {name} that is not there", path))
     return problems

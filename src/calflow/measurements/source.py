@@ -145,7 +145,7 @@ def locate(source: MeasurementSource, folder: Path, data: Path | None = None) ->
     Raises:
         InputError: it is in none of them, or its SHA-256 differs from the study's.
     """
-    path, reason = None, ""
+    path, wrong = None, None
     for place in _paths(source, folder, data):
         try:
             path = regular_file(place)
@@ -153,13 +153,15 @@ def locate(source: MeasurementSource, folder: Path, data: Path | None = None) ->
         except NoSuchFile:
             continue
         except InputError as error:
-            reason = reason or f" ({error.problems[0].message})"
+            wrong = wrong or error
     here = folder / source.file
+    if path is None and wrong:
+        raise wrong
     if path is None and source.url:
-        raise refuse(f"is not fetched yet{reason}: 'calflow run' fetches it from {source.url}", here)
+        raise refuse(f"is not fetched yet: 'calflow run' fetches it from {source.url}", here)
     if path is None:
         raise refuse(
-            f"no such measurement file{reason}; expected it there, in the folder that CALFLOW_DATA names, or by a url in the "
+            f"no such measurement file; expected it there, in the folder that CALFLOW_DATA names, or by a url in the "
             f"study{nearest_file(here)}",
             here,
         )
