@@ -55,7 +55,7 @@ def covered(run: Path, measurements: Path, results: Results) -> dict[str, object
     sd = predicted_sd(run, rows)
     (noise,) = results.tables["diagnose/noise.csv"].to_dict("records")
     if noise["source"] != "estimated":
-        own = asked["sigma_mm"].to_numpy()[:, None] if "sigma_mm" in asked else noise["sigma_mm"]
+        own = asked["sigma_mm"].to_numpy()[:, None] if "sigma_mm" in asked else noise["sigma"]
         sd = np.hypot(sd, own)
     inside = np.abs(left[["dx_mm", "dy_mm", "dz_mm"]].to_numpy()) < WITHIN * sd
     return {"covered": float(inside.mean()), "coordinates": inside.size}

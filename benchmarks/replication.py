@@ -109,7 +109,7 @@ def diagnosed(part: Part) -> tuple[Part, Row, pd.DataFrame]:
 
 def _noise(results: Results) -> Row:
     noise = results.tables["diagnose/noise.csv"]
-    return {"sigma_mm": noise["sigma_mm"].iloc[0], "noise": noise["source"].iloc[0]}
+    return {"sigma_mm": noise["sigma"].iloc[0], "noise": noise["source"].iloc[0]}
 
 
 def _written(part: Part, folder: Path) -> Path:

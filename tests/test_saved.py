@@ -16,7 +16,6 @@ from calflow.deployment.figures_alone import FIGURES, LEVELS
 from calflow.deployment.run_outcome import RunOutcome
 from calflow.design.candidates import candidates
 from calflow.estimation.calibrated_model import Alternative, CalibratedModel
-from calflow.estimation.model_tables import read_error_model
 from calflow.files.tables import Results
 from calflow.measurements.series import Series
 from calflow.model import Model, build
@@ -197,8 +196,8 @@ def test_a_stated_noise_that_repeats_contradict_on_one_day_is_told_as_it_was_sta
     data = replace(data, table=table.assign(**scatter, **days))
     found = cf.identify(case.robot, data, case.effects, starts=1, noise="file").diagnose(catalogue=["joint-backlash"])
     (doubt,) = (doubt for doubt in RunOutcome(found.results).noise_doubts if doubt.session)
-    assert (doubt.session, doubt.stated_mm, doubt.shown_by) == ("wed", pytest.approx(0.03), "repeats")
-    assert doubt.shown_mm > 1.5 * doubt.stated_mm
+    assert (doubt.session, doubt.stated, doubt.shown_by) == ("wed", pytest.approx(0.03), "repeats")
+    assert doubt.shown > 1.5 * doubt.stated
 
 
 def test_the_noise_of_a_session_is_loaded_as_it_was_saved(tmp_path):
@@ -246,12 +245,6 @@ def test_the_noise_of_a_marker_is_loaded_as_it_was_saved(tmp_path):
     np.testing.assert_array_equal(loaded.noise(data).sigma, np.where(loose, device.factors["F"], 1.0) * 3e-5)
     (doubt,) = RunOutcome(loaded.results).noise_doubts
     assert (doubt.session, doubt.marker) == ("", "F")
-    name = "diagnose/noise.csv"
-    earlier = {**loaded.results.tables, name: loaded.results.tables[name].drop(columns="marker F")}
-    (older,) = read_error_model("diagnose", Results(earlier, loaded.results.documents), loaded.model.observations)[
-        "device"
-    ]
-    assert older == replace(device, label="session", factors={})
 
 
 def test_a_run_of_a_version_without_levels_of_effort_says_so(finished):

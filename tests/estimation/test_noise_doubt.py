@@ -28,7 +28,7 @@ def test_repeats_contradict_a_stated_noise(times):
     (doubt,) = doubts_of_repeats(data, error, (False,))
     assert doubt.times == pytest.approx(max(times, 1 / times), rel=0.2)
     assert f"too {'large' if times > 1 else 'small'}" in doubt.statement
-    assert doubt.shown_mm == pytest.approx(1e3 * SIGMA, rel=0.2)
+    assert doubt.shown == pytest.approx(1e3 * SIGMA, rel=0.2)
     assert not doubt.useless
 
 
@@ -54,17 +54,7 @@ def test_a_fit_that_leaves_far_less_contradicts_a_stated_noise():
 
 def test_words_say_what_is_wrong_and_what_was_done():
     """Fails if the sentence lacks its figures, its direction or what the fit used."""
-    doubt = NoiseDoubt(
-        series="left",
-        stated_mm=40.0,
-        shown_mm=0.04,
-        unit="mm",
-        stated=40.0,
-        shown=0.04,
-        shown_by="repeats",
-        believed=False,
-        p=0.0,
-    )
+    doubt = NoiseDoubt(series="left", unit="mm", stated=40.0, shown=0.04, shown_by="repeats", believed=False, p=0.0)
     assert doubt.words == (
         "The stated noise of left, 40 mm per axis, is 1,000 times too large: repeats of one pose scatter by 0.04 mm. "
         "Correct sigma. The fit used the repeats' instead."

@@ -44,14 +44,14 @@ from calflow.sampling.task_points import TaskSummary
 from reporting.pdf import pages_of
 
 SUMMARY = IdentifySummary(
-    noise_sources=("file",), sigma_mm=0.05, discrepancy_mm=0.0, discrepancies={"mm": 0.0}, rest_mm=0.0,
+    noise_sources=("file",), sigma_mm=0.05, discrepancies={"mm": 0.0}, rest_mm=0.0,
     loss="linear", reduced_chi2=1.02, lack_of_fit_p=0.5,
     solver=Solver(status="Solve_Succeeded", iterations=9), spread_mm=1e3, rank=3, parameters=3, rank_by_effect={},
     effective_parameters=3.0, training_poses=9, heldout_poses=4, converged=True, equilibrium_error_um=0.0, starts=3,
     starts_agreeing=3,
 )  # fmt: skip
 DOUBT = NoiseDoubt(
-    series="", stated_mm=40.0, shown_mm=0.04, unit="mm", stated=40.0, shown=0.04, shown_by="residuals", believed=True, p=0.0
+    series="", unit="mm", stated=40.0, shown=0.04, shown_by="residuals", believed=True, p=0.0
 )  # fmt: skip
 DIAGNOSED = DiagnosisSummary(
     **{field.name: getattr(SUMMARY, field.name) for field in fields(FitSummary)}, reduced_chi2_before=4.0, causes_tested=40,
@@ -666,8 +666,8 @@ def test_a_contradicted_noise_is_the_first_thing_said() -> None:
 @pytest.mark.parametrize(("source", "told"), [("estimated", True), ("file", False)])
 def test_a_loose_marker_is_told_where_nobody_stated_a_noise(source: str, told: bool) -> None:
     """Fails if page one does not say whose readings scatter, or says it twice: a stated noise is contradicted for it already."""
-    row = {"series": "", "kind": "position", "source": source, "sigma_mm": 0.03, "growth_mm_per_m": 0.0, "typical_mm": 0.05,
-           "unit": "mm", "sigma": 0.03, "typical": 0.05, "factor": 1.0, "marker A": 0.8, "marker B": 3.2}  # fmt: skip
+    row = {"series": "", "kind": "position", "source": source, "unit": "mm", "sigma": 0.03, "typical": 0.05,
+           "growth_mm_per_m": 0.0, "label": "marker", "factor": 1.0, "factor A": 0.8, "factor B": 3.2}  # fmt: skip
     seen = results(summary() | {"identify/noise.csv": pd.DataFrame([row])})
     sentence = "Marker B scatters 4 times as much as the quietest: see whether it sits firmly."
     assert foremost(seen) == [sentence] * told

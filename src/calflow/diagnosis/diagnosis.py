@@ -191,7 +191,6 @@ def diagnosis_summary(diagnosis: Diagnosis, calibrated: CalibratedModel) -> Diag
         sigma = float(np.median(final.noise.sigma[final.noise.of_series(0)]))
     return DiagnosisSummary(
         sigma_mm=1e3 * sigma if final.noise.leading[0] == METRE else None,
-        noise_growth_mm_per_m=1e3 * diagnosis.growth.slope if diagnosis.growth else 0.0,
         **fit_figures(
             final.fit, final.noise, final.lack, final.left_out.at_new_poses, diagnosis.upper_limit, final.errors
         ),

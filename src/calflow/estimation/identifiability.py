@@ -236,18 +236,13 @@ def _little(wholly: bool) -> str:
 
 
 def _echelon(basis: np.ndarray) -> np.ndarray:
-    """Reduce rows to echelon form with full pivoting, each scaled to a largest entry of 1; shape (n_directions, n)."""
-    rows = basis.copy()
-    left = list(range(len(rows)))
-    while left:
-        block = np.abs(rows[left])
-        r, column = np.unravel_index(np.argmax(block), block.shape)
-        pivot = left.pop(int(r))
-        rows[pivot] /= rows[pivot, column]
-        for other in range(len(rows)):
-            if other != pivot:
-                rows[other] -= rows[other, column] * rows[pivot]
-    return rows / np.abs(rows).max(axis=1, keepdims=True) if len(rows) else rows
+    """Reduce rows to echelon form, pivots by QR, each scaled to a largest entry of 1; shape (n_directions, n)."""
+    if not len(basis):
+        return basis
+    _, upper, order = scipy.linalg.qr(basis, mode="economic", pivoting=True)
+    rows = np.empty_like(basis)
+    rows[:, order] = scipy.linalg.solve_triangular(upper[:, : len(basis)], upper)
+    return np.asarray(rows / np.abs(rows).max(axis=1, keepdims=True))
 
 
 @dataclass(frozen=True, kw_only=True)

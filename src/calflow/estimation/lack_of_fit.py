@@ -14,7 +14,7 @@ import scipy
 from calflow.estimation.accuracy import judged_unit
 from calflow.estimation.noise import MIN_REPEATS, Noise, Scatter, averaged, repeats_scatter, stated_noise
 from calflow.files.tables import column
-from calflow.files.units import METRE, MeasurementUnit
+from calflow.files.units import MeasurementUnit
 from calflow.files.words import rounded
 from calflow.measurements.measurements import Measurements
 
@@ -132,16 +132,12 @@ class NoiseDoubt:
     series: str = column("name of the series; empty: the only one")
     session: str = column("the session in which it is wrong; empty: in all", default="")
     marker: str = column("the marker of which it is wrong; empty: of all", default="")
-    stated_mm: float | None = column("the noise per axis stated by file or study; null: `unit` is another", "mm")
-    shown_mm: float | None = column(
-        "the noise per axis by the scatter of repeats, or by the fit's residuals, its upper limit", "mm"
-    )
     shown_by: Literal["repeats", "residuals"] = column("the evidence against it")
     believed: bool = column("whether the fit used the stated noise")
     p: float = column("p-value of the contradiction")
     unit: str = column("the unit that stated and shown are in: mm, mrad, px, …")
-    stated: float = column("as stated_mm, in `unit`")
-    shown: float = column("as shown_mm, in `unit`")
+    stated: float = column("the noise per axis stated by file or study, in `unit`")
+    shown: float = column("that by the scatter of repeats, or by the fit's residuals, its upper limit, in `unit`")
 
     @property
     def times(self) -> float:
@@ -227,9 +223,7 @@ def doubts_of_residuals(noise: Noise, lack: LackOfFit, names: tuple[str, ...]) -
 
 def doubt(unit: MeasurementUnit, level: float, off: float, **more: Any) -> NoiseDoubt:
     """Return the doubt of a stated noise of the given level [unit], which is wrong by a factor."""
-    stated, shown = unit.shown(level), unit.shown(level) * off
-    lengths = (stated, shown) if unit == METRE else (None, None)
-    return NoiseDoubt(unit=unit.label, stated=stated, shown=shown, stated_mm=lengths[0], shown_mm=lengths[1], **more)
+    return NoiseDoubt(unit=unit.label, stated=unit.shown(level), shown=unit.shown(level) * off, **more)
 
 
 def _contradiction(squared: np.ndarray, freedom: np.ndarray, reduced: float) -> float:

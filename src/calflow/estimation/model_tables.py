@@ -31,7 +31,7 @@ from calflow.files.plugins import subclasses
 from calflow.files.problems import refuse
 from calflow.files.tables import Results, column, to_frame
 from calflow.files.toml import adapter
-from calflow.files.units import METRE, RADIAN
+from calflow.files.units import METRE
 from calflow.files.words import first_up, mm, rounded
 from calflow.model import Model
 from calflow.observations import Observation, observation_kinds
@@ -86,29 +86,21 @@ class DeviceNoise:
     series: str = column("its name; empty: the only one")
     kind: str = column("id of its observation")
     source: Source = column("the source of the noise")
-    sigma_mm: float = column(
-        "of a single row, per axis; of noise that grows with range, its value at zero range; empty: `unit` is another", "mm",
-        default=float("nan"),
-    )  # fmt: skip
-    growth_mm_per_m: float = column("its growth with range", "mm/m", default=0.0)
-    typical_mm: float = column("root mean square over the rows, at their ranges, per axis", "mm", default=float("nan"))
-    unit: str = column("the unit that sigma and typical are in: mm, mrad, px, …", default=METRE.label)
-    sigma: float = column("as sigma_mm, in `unit`")
-    typical: float = column("as typical_mm, in `unit`")
-    factor: float = column("by which the rows that name no session are noisier than stated", default=1.0)
-    by_session: Mapping[str, float] = column("by which a session's rows are", name="factor {session}")
-    by_marker: Mapping[str, float] = column("by which a marker's rows are", name="marker {marker}")
-
-    @property
-    def label(self) -> Label:
-        """What tells the rows apart whose noise is another: their session, or their marker."""
-        return "marker" if any(times != 1 for times in self.by_marker.values()) else "session"
+    unit: str = column("the unit that sigma and typical are in: mm, mrad, px, …")
+    sigma: float = column(
+        "of a single row, per axis, in `unit`; of noise that grows with range, its value at zero range"
+    )
+    typical: float = column("root mean square over the rows, at their ranges, per axis, in `unit`")
+    growth_mm_per_m: float = column("its growth with range", "mm/m")
+    label: Label = column("what tells the rows apart whose noise is another: their session, or their marker")
+    factor: float = column("by which the rows that name none are noisier than stated")
+    by_name: Mapping[str, float] = column("by which those of a session, or marker, are", name="factor {name}")
 
     @property
     def factors(self) -> Mapping[str, float]:
         """Factors of the noise in those sessions, or of those markers, where it is another."""
-        every = self.by_marker if self.label == "marker" else {"factor ": self.factor, **self.by_session}
-        return {name.partition(" ")[2]: times for name, times in every.items() if times != 1}
+        every = {"factor ": self.factor, **self.by_name}
+        return {name.removeprefix("factor "): times for name, times in every.items() if times != 1}
 
     @property
     def statement(self) -> str:
@@ -163,13 +155,6 @@ class FitSummary:
         "the noise of a row, per axis; of noise that grows with range, its value at zero range; null: no lengths were measured",
         "mm",
     )
-    noise_growth_mm_per_m: float = column("growth of the noise with range", "mm/m", default=0.0)
-    discrepancy_mm: float = column(
-        "standard deviation of the model's error of lengths beyond the noise, per axis; 0 without lengths", "mm"
-    )
-    rotation_discrepancy_mrad: float | None = column(
-        "the same of orientations; null: not measured", "mrad", default=None
-    )
     discrepancies: dict[str, float] = column(
         "standard deviation of the model's error beyond the noise, by unit: mm, mrad, px, …"
     )
@@ -207,6 +192,11 @@ class FitSummary:
         return any(source != "estimated" for source in self.noise_sources)
 
     @property
+    def discrepancy_mm(self) -> float:
+        """Standard deviation of the model's error of lengths beyond the noise, per axis; 0 without lengths."""
+        return self.discrepancies.get(METRE.label, 0.0)
+
+    @property
     def lack_of_fit(self) -> float:
         """Residuals over the noise, root mean square; nan where the noise was estimated from the fit itself."""
         if not self.noise_known or self.reduced_chi2 is None:
@@ -241,8 +231,6 @@ def fit_figures(
     """Return the fields of a `FitSummary` from a fit, its noise and its error model; new_poses and its limit are in m."""
     return {
         "noise_sources": noise.sources,
-        "discrepancy_mm": 1e3 * noise.discrepancy[METRE],
-        "rotation_discrepancy_mrad": None if noise.rotation is None else 1e3 * noise.discrepancy[RADIAN],
         "discrepancies": {unit.label: unit.shown(size) for unit, size in noise.discrepancy.sizes},
         "new_poses_mm": None if np.isnan(new_poses) else 1e3 * new_poses,
         "new_poses_limit_mm": None if np.isnan(limit) else 1e3 * limit,
@@ -332,21 +320,16 @@ def observation_table(observed: Sequence[Observation]) -> pd.DataFrame:
 
 def noise_table(devices: Sequence[SeriesNoise], observed: Sequence[Observation]) -> pd.DataFrame:
     """Return the table of `DeviceNoise`."""
-    rows, named = [], dict.fromkeys((device.label, name) for device in devices for name in device.factors if name)
-    for device, observation in zip(devices, observed, strict=True):
-        unit = observation.units[0]
-        sigma, typical = unit.shown(device.sigma), unit.shown(device.typical)
-        own = {(device.label, name): factor for name, factor in device.factors.items()}
-        lengths = {"sigma_mm": sigma, "typical_mm": typical} if unit == METRE else {}
-        rows.append(
-            DeviceNoise(
-                series=observation.series.name, kind=observation.id, source=device.source, unit=unit.label, sigma=sigma,
-                typical=typical, growth_mm_per_m=1e3 * device.growth,
-                factor=own.get(("session", ""), 1.0),
-                by_session={f"factor {name}": own.get((by, name), 1.0) for by, name in named if by == "session"},
-                by_marker={f"marker {name}": own.get((by, name), 1.0) for by, name in named if by == "marker"}, **lengths,
-            )
-        )  # fmt: skip
+    named = dict.fromkeys(name for device in devices for name in device.factors if name)
+    rows = [
+        DeviceNoise(
+            series=observation.series.name, kind=observation.id, source=device.source, unit=observation.units[0].label,
+            sigma=observation.units[0].shown(device.sigma), typical=observation.units[0].shown(device.typical),
+            growth_mm_per_m=1e3 * device.growth, label=device.label, factor=device.factors.get("", 1.0),
+            by_name={f"factor {name}": device.factors.get(name, 1.0) for name in named},
+        )
+        for device, observation in zip(devices, observed, strict=True)
+    ]  # fmt: skip
     return to_frame(rows, DeviceNoise)
 
 
