@@ -45,36 +45,22 @@ class Later(Wandering):
     """The continuation of a walk after its end, and before its begin, with the same variance per time.
 
     change: standard deviation of its change in the duration of the measurement; any_time: that of its value at a row without time;
-    both over the usual one.
+    both over the usual one. sessions: first and last time of those measured by a device that is placed anew for each, whose change
+    is the same at any other time; empty: it grows as the root of the time that has passed.
     """
 
     change: float = 1.0
     any_time: float = 0.0
+    sessions: tuple[tuple[float, float], ...] = ()
 
     def gone(self, row: Row) -> ca.SX:
         """Return the standard deviation at a row."""
-        if not row.time.nnz():
+        if not (at := row.time).nnz():
             return ca.SX(self.any_time) if self.any_time else ca.SX(1, 1)
-        return self.change * self.grown(row.time)
-
-    def grown(self, at: ca.SX) -> ca.SX:
-        """Return the growth over `change`: after a time it is the root of that time over the measurement's."""
+        if self.sessions:
+            return self.change * (1 - sum((within(at, session) for session in self.sessions), ca.SX(0)))
         beyond = ca.fmax(0, ca.fmax(self.begin - at, at - self.end))
-        return ca.sqrt(self.diffusion(beyond) / ((self.end - self.begin) or 1.0))
-
-
-@dataclass(frozen=True)
-class InFurtherSession(Later):
-    """The shift of a device in sessions that were not measured, each of which it is placed anew for.
-
-    sessions: first and last time of those that were. Its change is the same at any other time.
-    """
-
-    sessions: tuple[tuple[float, float], ...] = ()
-
-    def grown(self, at: ca.SX) -> ca.SX:
-        """Return 1 outside those sessions."""
-        return 1 - sum((within(at, session) for session in self.sessions), ca.SX(0))
+        return self.change * ca.sqrt(self.diffusion(beyond) / ((self.end - self.begin) or 1.0))
 
 
 @dataclass(frozen=True)
@@ -274,7 +260,7 @@ def beyond_measured(errors: ErrorModel, sizes: SmoothVariances, variance: np.nda
         elif anew and of == Wandering.of:
             spans = data.table["time"].groupby(data.session).agg(["min", "max"])
             sessions = tuple(spans.itertuples(index=False, name=None))
-            functions = [InFurtherSession(data.robot, of, change=walk, any_time=left[of], sessions=sessions)]
+            functions = [Later(data.robot, of, change=walk, any_time=left[of], sessions=sessions)]
         else:
             change = walk * Wandering(data.robot, of).change_in(end - begin)
             functions = [Later(data.robot, of, begin=begin, end=end, change=change, any_time=left[of])]

@@ -424,7 +424,7 @@ def beside_joints(model: Model, data: Measurements) -> list[Part]:
     bases: list[Part] = [(of.inputs, [of]) for of in of_images(data)]
     if loaded := under_payloads(data):
         bases.append((("payload",), [*loaded]))
-    if steps := (in_sessions if model.by_session else in_time)(data):
+    if steps := in_time(data, anew=model.by_session):
         bases.append((steps[0].inputs, [*steps]))
     return bases
 
@@ -451,46 +451,31 @@ def _beside(groups: Sequence[frozenset[int]], *joints: int) -> tuple[int, ...]:
     return tuple(sorted(set().union(*(group for group in groups if group.issuperset(joints)))))
 
 
-def in_time(data: Measurements, of: str = Wandering.of) -> list[InTime]:
+def in_time(data: Measurements, of: str = Wandering.of, anew: bool = False) -> list[InTime]:
     """Return the steps of a quantity's random walk in time, or in the order of the rows where no time is known.
 
     There are none where all rows are of one time.
+
+    Args:
+        data: the rows.
+        of: the quantity.
+        anew: whether it walks about its mean within each session alone, as a device that is placed anew for each; all these walks
+            have one variance per time, such that the mean square over the rows is that of a single walk.
     """
-    clock, at = _clock(data)
-    walk = Wandering(data.robot, of, clock)
-    number = STEPS if walk.quantity.of_measuring() else STEPS_OF_ROBOT
-    return _steps(walk, at, np.ptp(at), number) if len(at) else []
-
-
-def in_sessions(data: Measurements) -> list[InTime]:
-    """Return the steps of the shift of a device that is placed anew for each session: one walk about its mean in each.
-
-    All have one variance per time, such that the mean square over the rows is that of a single walk.
-    """
-    clock, at = _clock(data)
-    if not len(at):
+    clock: Literal["time", "order"] = "time" if "time" in data.given else "order"
+    if clock not in data.given or data.table[clock].nunique() < 2:
         return []
-    spans = [at[data.session == session] for session in dict.fromkeys(data.session)]
-    duration, walk = sum(np.ptp(span) * len(span) for span in spans) / len(at), Wandering(data.robot, clock=clock)
-    number = max(STEPS // len(spans), STEPS_OF_SESSION)
-    return [
-        replace(step, session=(float(span.min()), float(span.max())))
-        for span in spans
-        if np.ptp(span)
-        for step in _steps(walk, span, duration, number)
-    ]
+    at, walk = data.table[clock].to_numpy(float), Wandering(data.robot, of, clock)
+    spans = [at[data.session == session] for session in dict.fromkeys(data.session)] if anew else [at]
+    duration = sum(np.ptp(span) * len(span) for span in spans) / len(at)
+    number = max(STEPS // len(spans), STEPS_OF_SESSION) if walk.quantity.of_measuring() else STEPS_OF_ROBOT
+    steps = ((span, step) for span in spans if np.ptp(span) for step in _steps(walk, span, duration, number))
+    return [replace(step, session=(float(span.min()), float(span.max()))) if anew else step for span, step in steps]
 
 
 def within(at: Times, session: tuple[float, float]) -> Times:
     """Return 1 where a time is within a session, from its first to its last, and 0 elsewhere."""
     return (at >= session[0]) * (at <= session[1])
-
-
-def _clock(data: Measurements) -> tuple[Literal["time", "order"], np.ndarray]:
-    """Return what tells the time of rows, and their times (n_rows,), none where all are of one time."""
-    clock: Literal["time", "order"] = "time" if "time" in data.given else "order"
-    told = clock in data.given and data.table[clock].nunique() > 1
-    return clock, data.table[clock].to_numpy(float) if told else np.zeros(0)
 
 
 def _steps(walk: Wandering, at: np.ndarray, duration: float, n: int) -> list[InTime]:
