@@ -8,8 +8,9 @@ import sys
 import pytest
 
 from calflow.deployment.run_outcome import RunOutcome
+from calflow.design.next_poses import MeasuringVerdict, Suspect
 from calflow.files.tables import Results
-from calflow.reporting.terminal import last_lines
+from calflow.reporting.terminal import last_lines, next_lines
 from reporting.case import BACKLASH, COUPLED, MISFIT, OR_HYSTERESIS, OUTLIERS, context, with_diagnosis
 from reporting.test_advice import in_space
 
@@ -79,3 +80,25 @@ def test_to_tell_what_came_out_no_drawing_is_loaded() -> None:
     """Fails if a run without a report waits for Matplotlib, which takes as long to load as a small robot to be fitted."""
     code = "import sys, calflow.reporting.terminal; sys.exit('matplotlib' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0
+
+
+def test_the_lines_of_next_say_in_words_what_is_suspected():
+    """Fails if an effect's id is printed for its name, or what is only suspected is said to be found."""
+    verdict = MeasuringVerdict(
+        status="measure", poses=30, fitted_poses=21, measure="rms", tolerance_mm=0.1, confidence=0.95, probability=0.4,
+        error_mm=0.1, error_most_mm=0.2, noise_known=True, left_out=("gravity deflection of joint 2, 1.0 ± 0.2 mrad",),
+        suspected=(
+            Suspect(name="eccentricity of joint 3", kind="rival", cause="joint-eccentricity", joint=3, probability=0.31),
+            Suspect(name="q2", kind="background", probability=0.12),
+        ),
+        untested=("joint-backlash", "thermal-growth"),
+    )  # fmt: skip
+    lines = next_lines(verdict)
+    assert "found: nothing that the model lacks" in lines
+    assert "suspected: gravity deflection of joint 2, 1.0 ± 0.2 mrad" in lines
+    assert (
+        "suspected, not proven (probability): eccentricity of joint 3 instead of what was found (0.31), a smooth error by q2 (0.12)"
+        in lines
+    )
+    (untested,) = [line for line in lines if line.startswith("not tested")]
+    assert untested.endswith(": backlash, thermal growth")

@@ -127,7 +127,7 @@ def test_interrupted_it_leaves_nothing(small, monkeypatch):
     ("edit", "options", "said"),
     [
         ("", ("--number", 0), "number: expected a number greater than or equal to 1, found 0"),
-        ("", ("--probability", 1), "confidence: expected a number less than 1, found 1"),
+        ("", ("--probability", 1), "--probability: expected a number less than 1, found 1"),
         ("", ("--tolerance-mm", -1), "expected a tolerance above 0, found -1"),
         ("", ("--rows", "nowhere.csv"), "no such file"),
         ('payload = "havy"\n', (), "unknown payload 'havy'"),

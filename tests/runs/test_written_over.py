@@ -89,12 +89,6 @@ def test_an_option_is_called_by_its_name(finished, arguments, told):
     assert said.startswith(told)
 
 
-def test_the_probability_of_next_is_called_by_its_name(finished):
-    """Fails if the user of --probability is told of a confidence."""
-    (told,) = finished.refused("next", finished / "study.toml", "--probability", 95)
-    assert told.startswith("--probability: expected a number less than 1")
-
-
 def test_an_interrupted_command_that_cannot_resume_does_not_say_so(finished, monkeypatch):
     """Fails if the user of a command that begins anew is told that it goes on."""
 

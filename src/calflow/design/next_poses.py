@@ -20,7 +20,7 @@ from calflow.design.search import greedy
 from calflow.design.selection import PlannedPose, planned_poses
 from calflow.design.task_error import LackingCause, TaskSlopes, independent_sizes, lacking_causes, of_robot, task_error
 from calflow.diagnosis.diagnosis import Diagnosis, extended_model
-from calflow.diagnosis.findings import findings
+from calflow.diagnosis.findings import Finding, findings
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.verdict import named
@@ -158,8 +158,12 @@ class NextMeasurement(PlannedPose):
 class Suspect:
     """An effect that the model may lack, or have under another name, without proof."""
 
-    name: str = column("a cause's id and joint; or the inputs of a smooth background; `pose`: every pose for itself")
+    name: str = column(
+        "a cause in words, with its joint; or the inputs of a smooth background; `pose`: every pose for itself"
+    )
     kind: Kind = column("its kind; a rival: in place of a cause found")
+    cause: str = column("id of the cause; empty: it is none", default="")
+    joint: int | None = column("number of its joint or link; null: none", default=None)
     probability: float = column("its posterior probability")
 
 
@@ -207,6 +211,7 @@ class MeasuringVerdict:
         "whether it is known independently of the fit; else all residuals are attributed to the robot", default=False
     )
     found: tuple[str, ...] = column("causes that were found, and unexplained errors, in words", default=())
+    left_out: tuple[str, ...] = column("causes that are suspected and left out of the model, in words", default=())
     suspected: tuple[Suspect, ...] = column("suspected but unproven effects, the likeliest first", default=())
     untested: tuple[str, ...] = column(
         "effects that these data cannot test: the probability does not include them", default=()
@@ -262,7 +267,7 @@ def next_step(
     drawn = task_error(fitted, causes, by_cause, at_task, asked.measure, rng("task error"))
     lacking = findings(diagnosis, identified, data, as_table((), data), rng("resamples"))
     verdict = _verdict(
-        data, fitted, *drawn, asked, confidence, tuple(finding.statement for finding in lacking),
+        data, fitted, *drawn, asked, confidence, lacking,
         _suspects(rivals, fitted, causes), tuple(sorted(catalogue.lacking)),
     )  # fmt: skip
     calibrated = extended_model(diagnosis, identified, data)
@@ -280,7 +285,7 @@ def next_step(
 
 def _verdict(
     data: Measurements, fitted: Fitted, error: np.ndarray, at_best: np.ndarray, asked: SelectionRequest, confidence: float,
-    found: tuple[str, ...], suspected: tuple[Suspect, ...], untested: tuple[str, ...],
+    lacking: Sequence[Finding], suspected: tuple[Suspect, ...], untested: tuple[str, ...],
 ) -> MeasuringVerdict:  # fmt: skip
     """Return the verdict by draws (n_draws,) of the tool's error, and of that with all parameters known."""
     tolerance = asked.tolerance
@@ -298,7 +303,9 @@ def _verdict(
         error_most_mm=in_mm(float(np.quantile(error, confidence))),
         heldout_rms_mm=in_mm(float(np.sqrt((outside**2).mean()))) if len(outside) else None,
         leftout_rms_mm=in_mm(fitted.left_out.rms), elsewhere_mm=in_mm(float(fitted.left_out.excess())),
-        noise_mm=in_mm(fitted.noise.typical(METRE)) or None, noise_known=fitted.noise.known, found=found,
+        noise_mm=in_mm(fitted.noise.typical(METRE)) or None, noise_known=fitted.noise.known,
+        found=tuple(finding.in_short for finding in lacking if not finding.is_suspicion),
+        left_out=tuple(finding.in_short for finding in lacking if finding.is_suspicion),
         suspected=suspected, untested=untested, notes=data.notes,
     )  # fmt: skip
 
@@ -322,14 +329,22 @@ def _rival(alternative: Alternative) -> NamedCause:
 def _suspects(rivals: Sequence[Alternative], fitted: Fitted, causes: Sequence[LackingCause]) -> tuple[Suspect, ...]:
     """Return the suspects, the likeliest first."""
     of_poses = float(independent_sizes(fitted)[1][1:].sum())
-    every: list[tuple[str, Kind, float]] = [
-        *((named(lacking.cause).label, "cause", lacking.probability) for lacking in causes),
-        *((" and ".join(inputs), "background", share) for inputs, share in fitted.smooth.probabilities.items()),
-        ("pose", "pose", of_poses),
-        *((_rival(rival).label, "rival", rival.probability) for rival in rivals),
+    every = [
+        *(_named_suspect(named(lacking.cause), "cause", lacking.probability) for lacking in causes),
+        *(
+            Suspect(name=" and ".join(inputs), kind="background", probability=share)
+            for inputs, share in fitted.smooth.probabilities.items()
+        ),
+        Suspect(name="pose", kind="pose", probability=of_poses),
+        *(_named_suspect(_rival(rival), "rival", rival.probability) for rival in rivals),
     ]
-    likeliest = sorted(every, key=lambda suspect: -suspect[2])
-    return tuple(Suspect(name=name, kind=kind, probability=share) for name, kind, share in likeliest if share >= LIKELY)
+    likeliest = sorted(every, key=lambda suspect: -suspect.probability)
+    return tuple(suspect for suspect in likeliest if suspect.probability >= LIKELY)
+
+
+def _named_suspect(cause: NamedCause, kind: Kind, probability: float) -> Suspect:
+    """Return a suspect that has a name."""
+    return Suspect(name=cause.name, kind=kind, cause=cause.cause, joint=cause.joint or None, probability=probability)
 
 
 def numbered_on(table: pd.DataFrame, data: Measurements | None) -> pd.DataFrame:

@@ -9,6 +9,7 @@ from calflow.deployment.run_outcome import RunOutcome
 from calflow.deployment.usability import judgement
 from calflow.design.next_poses import MeasuringVerdict, Suspect
 from calflow.diagnosis.findings import Finding
+from calflow.effects.wording import cause_words
 from calflow.files.words import capped, mm, number, plural, sureness
 from calflow.reporting.advice import WRONG, advice, size_is_assumed
 from calflow.reporting.sections.causes import gain_words, shows_gain
@@ -109,6 +110,7 @@ def _figures(verdict: MeasuringVerdict) -> Iterator[str]:
             "or state sigma (in its unit, as sigma_mm or sigma_px) in [measurements]"
         )
     yield from (f"found: {finding}" for finding in verdict.found or ("nothing that the model lacks",))
+    yield from (f"suspected: {finding}" for finding in verdict.left_out)
     if verdict.suspected:
         more = len(verdict.suspected) - SUSPECTS_LISTED
         suspects = ", ".join(map(_suspect, verdict.suspected[:SUSPECTS_LISTED]))
@@ -116,7 +118,7 @@ def _figures(verdict: MeasuringVerdict) -> Iterator[str]:
     if verdict.untested:
         more = len(verdict.untested) - UNTESTED_LISTED
         rest = f", and {more} more, which --out writes to verdict.json" if more > 0 else ""
-        causes = ", ".join(verdict.untested[:UNTESTED_LISTED])
+        causes = ", ".join(cause_words(cause).name for cause in verdict.untested[:UNTESTED_LISTED])
         yield f"not tested, since data that they need are missing, and not in the probability: {causes}{rest}"
     best = verdict.probability_at_best
     if verdict.status == "measure" and best is not None and best < HOPELESS:
