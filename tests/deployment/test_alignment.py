@@ -60,9 +60,8 @@ def test_points_on_a_line_show_no_frame():
     assert can_align(np.vstack([line, [1.0, 0.0, 0.0]]))
 
 
-def test_what_a_fitted_frame_takes_away_is_not_promised():
-    """Fails if a station placed anew is promised the error of the place that the calibration had, or less than it will show."""
-    rng = np.random.default_rng(5)
+def _of_a_bent_robot(rng: np.random.Generator, fitted: bool) -> tuple[Attained, np.ndarray, float]:
+    """Return 30 points where they are expected, the loadings of the errors that they share, and their noise [m]."""
     place, noise = rng.uniform(-1, 1, (30, 3)), 5e-5
     turned = np.cross(np.eye(3)[None], place[:, None]).transpose(0, 2, 1)  # of a base that is known to 2 mrad and 2 mm
     bent = 2e-4 * np.sin(2 * place)[:, :, None] * np.eye(3)
@@ -70,10 +69,29 @@ def test_what_a_fitted_frame_takes_away_is_not_promised():
     points = np.arange(30)
     table = pd.DataFrame({"pose": points, "marker": "tool", "payload": "", "rows": 1})
     apart, each = np.full(30, np.sqrt(3) * noise), np.full(30, noise)
-    once, fitted = np.full(30, np.nan), np.array([True])
-    seen = Attained(table, points, place, {CALIBRATED: place}, shared, apart, each, once, None, fitted)
+    once = np.full(30, np.nan)
+    seen = Attained(table, points, place, {CALIBRATED: place}, shared, apart, each, once, None, np.array([fitted]))
+    return seen, shared, noise
+
+
+def test_a_motion_is_held_against_how_well_the_base_is_known():
+    """Fails if a base that is known to 2 mrad and 2 mm passes for one that moved, or one that moved by 20 mm does not."""
+    rng = np.random.default_rng(6)
+    seen, shared, noise = _of_a_bent_robot(rng, fitted=False)
+    chances = []
+    for _ in range(400):
+        error = shared @ rng.standard_normal(9) + noise * rng.standard_normal((30, 3))
+        chances.append(replace(seen, measured=seen.measured + error).motion_p)
+    assert 0.02 < np.mean(np.array(chances) < 0.05) < 0.09
+    assert replace(seen, measured=seen.measured + np.array([0.02, 0, 0])).motion_p < 1e-6
+
+
+def test_what_a_fitted_frame_takes_away_is_not_promised():
+    """Fails if a station placed anew is promised the error of the place that the calibration had, or less than it will show."""
+    rng = np.random.default_rng(5)
+    seen, shared, noise = _of_a_bent_robot(rng, fitted=True)
     draws = [
-        replace(seen, measured=place + shared @ rng.standard_normal(9) + noise * rng.standard_normal((30, 3)))
+        replace(seen, measured=seen.measured + shared @ rng.standard_normal(9) + noise * rng.standard_normal((30, 3)))
         for _ in range(200)
     ]
     found = np.sqrt(np.mean([one.errors(CALIBRATED) ** 2 for one in draws], axis=0).sum(axis=1))

@@ -12,6 +12,7 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
+import scipy
 
 from calflow.deployment.figures_alone import FiguresAlone
 from calflow.estimation.accuracy import judged_unit
@@ -286,6 +287,30 @@ class Attained:
             else None
             for rows in self.of_sessions
         )
+
+    @cached_property
+    def motion_p(self) -> float | None:
+        """The p-value of the motions of all sessions, where nothing moved (F test); None where one has none.
+
+        The motions are held against what the calibrated model's errors, which the points share, and the scatter of the points
+        beside the motions move them by.
+        """
+        if None in self.motions:
+            return None
+        error = (self.measured - self.expected[CALIBRATED]).ravel()
+        of_frames = np.zeros((len(self.measured), 3, len(self.motions), FREEDOM))
+        for k, rows in enumerate(self.of_sessions):
+            of_frames[rows, :, k] = rigid_slope(self.measured[rows])
+        slope = of_frames.reshape(error.size, -1)
+        solved = np.linalg.pinv(slope)
+        motion = solved @ error
+        taken, rest = len(motion), error.size - len(motion)
+        own = ((error - slope @ motion) ** 2).sum() / rest
+        if not own > 0:
+            return 1.0
+        shared = solved @ self.shared.reshape(error.size, -1)
+        covariance = own * solved @ solved.T + shared @ shared.T
+        return float(scipy.special.fdtrc(taken, rest, motion @ np.linalg.solve(covariance, motion) / taken))
 
     def standing(self, station: Station) -> Attained:
         """Return the points with the frames fitted of those sessions in which the device stands elsewhere, or of all.

@@ -36,7 +36,6 @@ from calflow.measurements.measurements import Measurements
 CONFIDENCE = 0.95  # default of a verdict, and level of intervals
 ONE_SIDED = 1.645  # standard deviations of the noise by which a pose must exceed a tolerance to count as beyond
 OF_THE_SAME = "are these rows of the robot, base, tool, units and signs that were calibrated?"
-COORDINATES = 3  # of a position
 MOVED_P = 0.01  # p-value below which a rigid motion of all points is noted
 
 
@@ -306,21 +305,10 @@ class _Comparison:
             return attained.refitted
         return replace(attained, fitted=np.full(len(attained.fitted), True)).refitted
 
-    @cached_property
+    @property
     def moved_p(self) -> float | None:
-        """The p-value of the reduction of errors by a rigid motion (F test); None where a frame moved, or cannot be fitted."""
-        attained, error = self.attained, self.error[CALIBRATED]
-        if attained.fitted.any() or not self.motions:
-            return None
-        left = np.empty_like(error)
-        for rows, motion in self.motions:
-            left[rows] = motion.of(attained.measured[rows]) - attained.expected[CALIBRATED][rows]
-        taken = FREEDOM * len(self.motions)
-        rest = COORDINATES * len(error) - taken
-        squares, remaining = float((error**2).sum()), float((left**2).sum())
-        if rest <= 0 or remaining <= 0:
-            return 1.0
-        return float(scipy.special.fdtrc(taken, rest, max(squares - remaining, 0.0) / taken / (remaining / rest)))
+        """The p-value of the motions (see `Attained.motion_p`); None where a frame moved, or cannot be fitted."""
+        return None if self.attained.fitted.any() else self.attained.motion_p
 
     def statistics(self, model: str) -> ValidatedModel:
         """Return mean, root mean square and largest error over poses, with the bound of a further pose."""
