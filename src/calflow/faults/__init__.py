@@ -17,7 +17,7 @@ from calflow.faults.implausible import lengths_in_other_units, nominal_misfit, o
 from calflow.faults.measured_torque import measured_torque
 from calflow.faults.mended_rows import exchanged, unit_mistake
 from calflow.faults.outlier import gross_rows, is_position, outlier
-from calflow.faults.photographed import places_seen, told_of_images
+from calflow.faults.photographed import mistake_of_images
 from calflow.faults.reference import Reference
 from calflow.faults.repeats import odd_repeats
 from calflow.faults.row_misalignment import lost_rows, row_misalignment
@@ -84,10 +84,10 @@ def _searched(data: Measurements) -> tuple[Measurements, tuple[Fault, ...], Setu
     if positions.any():
         if message := one_position(data.position[positions]):
             raise refuse(message)
-        found, setup = _of_places(data.only(positions), CHECKS)
+        found, setup = _of_positions(data.only(positions))
         data = correcting([fault.in_all_rows(np.flatnonzero(positions)) for fault in found])
-    elif (seen := places_seen(data)) is not None:
-        data = correcting([told_of_images(fault) for fault in _of_places(seen, (setup_faults,))[0]])
+    else:
+        data = correcting(mistake_of_images(data))
     if not positions.all() and not unsettled(faults):
         data = correcting(gross_rows(data, ~positions))
     if not unsettled(faults):
@@ -95,11 +95,11 @@ def _searched(data: Measurements) -> tuple[Measurements, tuple[Fault, ...], Setu
     return data, tuple(faults), setup
 
 
-def _of_places(data: Measurements, every: Sequence[Check]) -> tuple[list[Fault], Setup | None]:
-    """Return the faults of rows with positions by these checks, and the set-up of the rows without them; none if none is fitted."""
+def _of_positions(data: Measurements) -> tuple[list[Fault], Setup | None]:
+    """Return the faults of rows with positions, and the set-up of the rows without them; none if none is fitted."""
     if not data.train.any():
         return [], None
-    setup, faults, checks = Setup.of(data), list[Fault](), [*every]
+    setup, faults, checks = Setup.of(data), list[Fault](), [*CHECKS]
     reference = Reference.of(data, setup)
     while checks and reference and not unsettled(faults):
         check = checks.pop(0)
@@ -109,7 +109,7 @@ def _of_places(data: Measurements, every: Sequence[Check]) -> tuple[list[Fault],
             setup = setup.on(data)
             reference = Reference.of(data, setup)
             if check is setup_faults:  # what it corrected may have hidden what corrects single rows
-                checks = [*(definite for definite in every if definite in DEFINITE_CHECKS), *checks]
+                checks = [*DEFINITE_CHECKS, *checks]
     return faults, setup
 
 

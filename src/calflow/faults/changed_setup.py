@@ -32,6 +32,7 @@ SAME = 0.05  # share of rows below whose difference two subsets are the same
 SMALL = 1e-5  # rad or m: difference step of a joint, and tolerance of its estimated step
 ROUNDS = 12  # largest number of updates of a joint's step, part of which each fit absorbs
 LATEST = 15  # largest shift of payload names, in rows
+BY_SESSION = "state by_session = true in [measurements.station]"
 LEVEL = TILT_BOUND  # rad: a smaller deviation of gravity is a cause
 
 # A mistake in some rows: its cost, the mistake, the rows (n_rows,), these in words, and its log prior.
@@ -250,11 +251,9 @@ def _device(data: Measurements, as_read: FittedSetup, some: Setup, sums: np.ndar
             "name the rows before and after in a column 'session'" if "session" not in data.given else
             f"give the rows of session '{named[first]}' from there on a session's name of their own"
         )  # fmt: skip
-        words = (
-            f"from {line_in_words(data, first)} on the positions are in another frame ({{far}} off): the measuring "
-            f"device, or the robot, was moved; {names} and state by_session = true in [measurements.station]"
-        )
-        yield from _separate_frames("device-moved", apart, as_read, words, len(sums))
+        words = f"from {line_in_words(data, first)} on the positions are in another frame ({{far}} off)"
+        remedy = f"the measuring device, or the robot, was moved: {names} and {BY_SESSION}"
+        yield from _separate_frames("device-moved", apart, as_read, words, remedy, len(sums))
 
 
 def _sessions(data: Measurements, as_read: FittedSetup, some: Setup, sums: np.ndarray) -> Iterator[Mistake]:
@@ -264,15 +263,13 @@ def _sessions(data: Measurements, as_read: FittedSetup, some: Setup, sums: np.nd
     totals = np.stack([sums[of == name].sum(axis=0) for name in names])
     whole = float(_squares(sums.sum(axis=0)))
     if len(names) > 1 and _explains(float(_squares(totals).sum()), whole) and totals[:, 0].min() >= MIN_ROWS:
-        words = (
-            f"the sessions {', '.join(names)} are not in one frame (up to {{far}} apart): robot or device was moved; state "
-            "by_session = true in [measurements.station]"
-        )
-        yield from _separate_frames("sessions-apart", data, as_read, words, 1)
+        words = f"the sessions {', '.join(names)} are not in one frame (up to {{far}} apart)"
+        remedy = f"robot or device was moved: {BY_SESSION}"
+        yield from _separate_frames("sessions-apart", data, as_read, words, remedy, 1)
 
 
 def _separate_frames(
-    kind: str, data: Measurements, as_read: FittedSetup, words: str, moments: int
+    kind: str, data: Measurements, as_read: FittedSetup, words: str, remedy: str, moments: int
 ) -> Iterator[Mistake]:
     """Yield the mistake that sessions have separate frames, aligned before the fit."""
     names = sessions_of(data)
@@ -290,8 +287,8 @@ def _separate_frames(
         far = max(far, float(np.median(np.linalg.norm(position[rows] - setup.position[rows], axis=1))))
     if far > MIN_SHIFT:
         together = replace(setup, position=position)
-        statement = words.replace("{far}", f"{rounded(1e3 * far)} mm")
-        yield Mistake(kind, 0, lambda _: together, statement, LOG_ODDS - np.log(moments), where=SET_UP)
+        statement, log_prior = words.replace("{far}", f"{rounded(1e3 * far)} mm"), LOG_ODDS - np.log(moments)
+        yield Mistake(kind, 0, lambda _: together, statement, log_prior, where=SET_UP, remedy=remedy)
 
 
 def _tool(data: Measurements, as_read: FittedSetup, some: Setup) -> Iterator[Mistake]:

@@ -8,7 +8,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from calflow.faults.base import Correction, Fault
+from calflow.faults.base import Fault
+from calflow.faults.reference import Reference
+from calflow.faults.setup import Setup
+from calflow.faults.setup_search import PossibleMistake, likeliest_mistakes, told
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import POSITION, numbered
 from calflow.measurements.series import Series
@@ -17,8 +20,25 @@ from calflow.observations.camera import TOOL, WORLD, Camera
 from calflow.robot.parts import Base, Marker
 
 LABELS = ("image", "pose", "repeat", "payload", "split", "line", "order", "session", "time", "temperature")
-MOVED = ": camera or target was moved; from there on name another target (column 'target'), or camera ('camera'), than before"
-SETTLE = "settle this first: no cause is named until then"
+MOVED = (
+    "camera or target was moved; from there on name another target (column 'target'), or camera ('camera'), than before"
+)
+
+
+def mistake_of_images(data: Measurements) -> tuple[Fault, ...]:
+    """Return the mistake that images show, if any: corrected if it concerns all readings of a column, else unsettled."""
+    seen = places_seen(data)
+    if seen is None or not seen.train.any() or (reference := Reference.of(seen, Setup.of(seen))) is None:
+        return ()
+    candidates = [_of_images(candidate) for candidate in likeliest_mistakes(seen, reference)]
+    readings = numbered("q", data.robot.n_joints)
+    return told(reference, candidates, lambda made: not made.row and made.quantity in readings)
+
+
+def _of_images(candidate: PossibleMistake) -> PossibleMistake:
+    """Return a mistake of places in the terms of images."""
+    mistake = candidate.mistake
+    return replace(candidate, mistake=replace(mistake, remedy=MOVED)) if mistake.id == "device-moved" else candidate
 
 
 def places_seen(data: Measurements) -> Measurements | None:
@@ -39,14 +59,3 @@ def places_seen(data: Measurements) -> Measurements | None:
     marker = Marker((0.0, 0.0, 0.0), known=False, on=on)
     robot = replace(data.robot, base=Base(known=False), markers={"seen": marker}, expected=())
     return Measurements(robot, table, series=(Series(),))
-
-
-def told_of_images(fault: Fault) -> Fault:
-    """Return a fault of the places as one of the images: corrected if it concerns all readings of a column, else unsettled."""
-    if all(not correction.row and correction.quantity.startswith("q") for correction in fault.corrections):
-        return fault
-    statement = fault.statement.split("; corrected for this run")[0]
-    if fault.cause == "device-moved":
-        statement = statement.split(": the measuring device")[0] + MOVED
-    statement = statement if SETTLE in statement else f"{statement}; {SETTLE}"
-    return replace(fault, action="unsettled", corrections=(Correction(0),), statement=statement)

@@ -6,7 +6,7 @@ most probable one is reported together with those that explain the positions equ
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,16 +47,18 @@ class PossibleMistake:
 
 
 def setup_faults(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
-    """Return the mistake of robot file, table or set-up that the positions show, if any.
+    """Return the mistake of robot file, table or set-up that the positions show, if any (see `told`)."""
+    return told(reference, likeliest_mistakes(data, reference), lambda _: True)
+
+
+def likeliest_mistakes(data: Measurements, reference: Reference) -> list[PossibleMistake]:
+    """Return the mistakes, or causes, that explain the positions equally well, and far better than as stated, the best first.
 
     Mistakes of payloads compete with the causes of the catalogue that depend on loads.
-
-    Raises:
-        InputError: the user must settle it, and no fit can absorb it.
     """
     setup, as_read = reference.setup, reference.setup.fitted
     if len(setup.seen) < MIN_POSES:
-        return ()
+        return []
     of_figures, of_changes, of_loads = [], [], [*loads_late(data, as_read)]
     if as_read.suspicious:
         of_figures = [*misplaced(data, setup), *_screened(data, setup)]
@@ -66,11 +68,14 @@ def setup_faults(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
     candidates = _explaining(as_read, [*of_figures, *of_changes])
     if explaining := _explaining(as_read, of_loads):
         candidates += explaining + _explaining(as_read, causes_of_loads(data, as_read))
-    return _reported(as_read, _indistinguishable(candidates))
+    least = max((candidate.evidence for candidate in candidates), default=0.0) - MIN_LOG_ODDS
+    return sorted((c for c in candidates if c.evidence > least), key=lambda candidate: -candidate.evidence)
 
 
-def _reported(as_read: FittedSetup, candidates: Sequence[PossibleMistake]) -> tuple[Fault, ...]:
-    """Return the fault of equally good candidates: corrected if it is a single one of the table, else unsettled.
+def told(
+    reference: Reference, candidates: Sequence[PossibleMistake], corrects: Callable[[Correction], bool]
+) -> tuple[Fault, ...]:
+    """Return the fault of equally good candidates: corrected if it is a single one with such corrections, else unsettled.
 
     There is none if the best is a cause of the robot.
 
@@ -81,7 +86,7 @@ def _reported(as_read: FittedSetup, candidates: Sequence[PossibleMistake]) -> tu
         return ()
     mistake, statement = candidates[0].mistake, candidates[0].statement
     where = " or ".join(dict.fromkeys(candidate.mistake.where for candidate in candidates[:MAX_REPORTED]))
-    if len(candidates) == 1 and mistake.corrections:
+    if len(candidates) == 1 and mistake.corrections and all(map(corrects, mistake.corrections)):
         statement = f"{statement}; corrected for this run only"
         return (Fault(mistake.id, mistake.joint, (), statement, "corrected", mistake.corrections, where),)
     if len(candidates) > 1:
@@ -90,7 +95,7 @@ def _reported(as_read: FittedSetup, candidates: Sequence[PossibleMistake]) -> tu
         )
         more = f"; or {len(candidates) - MAX_REPORTED} more" if len(candidates) > MAX_REPORTED else ""
         statement = f"each of these explains the positions equally well: {several}{more}"
-    if as_read.displacements.max(initial=0.0) > PLACED_BOUND or nominal_misfit(as_read.setup):
+    if reference.setup.fitted.displacements.max(initial=0.0) > PLACED_BOUND or nominal_misfit(reference.setup):
         raise refuse(f"robot file and measurements do not belong together, and no fit can correct it: {statement}")
     statement = f"{statement}; settle this first: no cause is named until then"
     return (Fault(mistake.id, mistake.joint, (), statement, "unsettled", (Correction(0),), where),)
@@ -129,9 +134,3 @@ def _explaining(as_read: FittedSetup, tried: Iterable[Mistake]) -> list[Possible
         and explanation.gross_share < most_gross(explanation.scale)
         and explanation.log_odds(as_read) + mistake.log_prior > MIN_LOG_ODDS
     ]
-
-
-def _indistinguishable(candidates: Sequence[PossibleMistake]) -> list[PossibleMistake]:
-    """Return the candidates as probable as the best, within the limit of odds, the best first."""
-    least = max((candidate.evidence for candidate in candidates), default=0.0) - MIN_LOG_ODDS
-    return sorted((c for c in candidates if c.evidence > least), key=lambda candidate: -candidate.evidence)
