@@ -10,9 +10,9 @@ import numpy as np
 from calflow.faults.base import Correction, Fault, correct, fault
 from calflow.faults.implausible import past
 from calflow.faults.reference import Reference
-from calflow.faults.rough import NORMAL_LENGTH, RobustFit, lengths
+from calflow.faults.rough import NORMAL_LENGTH, lengths
 from calflow.faults.segments import state_cost, states
-from calflow.faults.setup import SUSPECT_SCALE
+from calflow.faults.setup import SUSPECT_SCALE, FittedSetup
 from calflow.measurements.measurements import Measurements
 
 TURN = 2 * np.pi
@@ -54,7 +54,7 @@ class TurnedBlock:
         return correct(data, Fault("encoder-turn", 0, (), "", "corrected", tuple(self.corrections)))
 
 
-def turned_block(data: Measurements, fit: RobustFit, joint: int, step: float) -> tuple[float, TurnedBlock]:
+def turned_block(data: Measurements, fit: FittedSetup, joint: int, step: float) -> tuple[float, TurnedBlock]:
     """Return the reduction of the cost, and the block of rows offset from all others by a step of a joint's reading.
 
     The fit itself may have absorbed a fraction of the step: errors in units of the step are then that fraction in some
@@ -150,10 +150,14 @@ def _refined(data: Measurements, reference: Reference, block: TurnedBlock) -> tu
         settled, block = np.array_equal(needed, block.rows), replace(block, rows=needed)
         if settled:
             break
-    return None if fit.scale >= SUSPECT_SCALE or _leaves_a_step(data, fit, block) else (fit.deviation, block)
+    return (
+        None
+        if fit.scale >= SUSPECT_SCALE or _leaves_a_step(data, fit, block)
+        else (float((fit.deviations**2).sum()), block)
+    )
 
 
-def _leaves_a_step(data: Measurements, fit: RobustFit, block: TurnedBlock) -> bool:
+def _leaves_a_step(data: Measurements, fit: FittedSetup, block: TurnedBlock) -> bool:
     """Whether the joint still differs between the block, with the turn corrected, and the other rows: no turn is a part of one."""
     moved = fit.moved(data.conditions, block.joint, block.step)
     error = data.position - fit.predicted(data.conditions) - moved * block.rows[:, None]

@@ -46,7 +46,7 @@ class Reference:
 
     @cached_property
     def miss(self) -> np.ndarray:
-        """The position error of each row, shape (n_rows,) [m] (see `RobustFit.miss`)."""
+        """The position error of each row, shape (n_rows,) [m] (see `FittedSetup.miss`)."""
         return self.fit.miss(self.data)
 
     @cached_property

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 from calflow.robot.frames import nearest_rotation
 
@@ -27,65 +24,6 @@ LEAST_SCALE = LEAST_GROSS / GROSS
 FAR_BETTER = 5.0  # factor by which the correction of a mistake must reduce a row's error
 
 
-@dataclass(frozen=True)
-class RobustFit:
-    """A robust fit, with the robust standard deviation per axis [m] of the fitted rows (scale).
-
-    mean, sd (n_parameters,): the parameters' prior, in SI, with sd 0 for fixed ones;
-    covariance (n_parameters, n_parameters): of the estimate, for errors of that scale; volume: logarithm of posterior
-    over prior volume; turn (3, 3), shift (3,): from the robot's base to the measuring frame.
-    """
-
-    model: Model
-    estimate: np.ndarray
-    covariance: np.ndarray
-    volume: float
-    scale: float
-    turn: np.ndarray
-    shift: np.ndarray
-    mean: np.ndarray
-    sd: np.ndarray
-
-    @property
-    def gross(self) -> float:
-        """The threshold of gross errors [m]."""
-        return GROSS * self.scale
-
-    @property
-    def deviations(self) -> np.ndarray:
-        """The deviation of each parameter from its prior mean, in standard deviations, shape (n_parameters,)."""
-        return np.divide(self.estimate - self.mean, self.sd, out=np.zeros(len(self.sd)), where=self.sd > 0)
-
-    @property
-    def deviation(self) -> float:
-        """The sum of squared deviations: how far the robot is from its nominal."""
-        return float((self.deviations**2).sum())
-
-    def predicted(self, conditions: np.ndarray) -> np.ndarray:
-        """Return positions (n_rows, 3) [m] for packed conditions; nan if a loop cannot be closed."""
-        return self.model.position(self.estimate, conditions) @ self.turn.T + self.shift
-
-    def moved(self, conditions: np.ndarray, joint: int, by: float) -> np.ndarray:
-        """Return the displacement (n_rows, 3) [m] of positions by a step of a joint (from 0) [rad or m]."""
-        stepped = conditions.copy()
-        stepped[joint] += by
-        return self.predicted(stepped) - self.predicted(conditions)
-
-    def miss(self, data: Measurements) -> np.ndarray:
-        """Return each row's position error [m], shape (n_rows,); gross ones scaled by the uncertainty of prediction."""
-        miss = lengths(data.position - self.predicted(data.conditions))
-        far = np.isfinite(miss) & (miss > self.gross)
-        if far.any():
-            jacobian = self.model.position_jacobian(self.estimate, data.conditions[:, far])
-            variance = ((jacobian @ self.covariance) * jacobian).sum(axis=2).max(axis=1)
-            miss[far] /= np.sqrt(1 + variance / self.scale**2)
-        return miss
-
-    def better(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
-        """Return whether gross errors (…) [m] fall to the level of other rows."""
-        return (before > self.gross) & (after < np.minimum(self.gross, before / FAR_BETTER))
-
-
 def robust_fit(
     model: Model,
     conditions: np.ndarray,
@@ -95,11 +33,14 @@ def robust_fit(
     mean: np.ndarray,
     sd: np.ndarray,
     start: np.ndarray,
-) -> RobustFit:
+) -> tuple[np.ndarray, np.ndarray, float, float]:
     """Return the robust fit of a model to positions (n_rows, 3): iteratively reweighted least squares, Cauchy weights.
 
     turn, shift: the approximate base; mean, sd: the prior; start: initial parameters. The noise is the scale of the
     residuals, updated with the weights. A compliance is kept non-negative by an active set.
+
+    Returned are the estimate (n_parameters,), its covariance for errors of the scale, the logarithm of posterior over prior
+    volume, and the scale: the robust standard deviation per axis [m] of the rows.
     """
     measured = (position - shift) @ turn
     estimate = start
@@ -138,7 +79,7 @@ def robust_fit(
     covariance[np.ix_(fitted, fitted)] = np.linalg.inv(information[moving]) * np.outer(sd[fitted], sd[fitted])
     # A compliance held at zero was free in the prior, too: the data determine it as well.
     volume = -float(np.linalg.slogdet(information)[1]) / 2
-    return RobustFit(model, estimate, covariance, volume, scale, turn, shift, mean, sd)
+    return estimate, covariance, volume, scale
 
 
 def motion(points: np.ndarray, measured: np.ndarray, rounds: int = 12) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -9,9 +9,9 @@ import numpy as np
 
 from calflow.faults.base import Correction, Fault, correct, fault, faulty_rows
 from calflow.faults.reference import Reference
-from calflow.faults.rough import RobustFit, motion, rigid_errors, rigid_sums, split_errors
+from calflow.faults.rough import motion, rigid_errors, rigid_sums, split_errors
 from calflow.faults.segments import state_cost, states
-from calflow.faults.setup import Setup
+from calflow.faults.setup import FittedSetup, Setup
 from calflow.measurements.measurements import Measurements
 
 BEGINNINGS = 3000  # largest number of rows tried as the beginning of a shift, which is refined afterwards
@@ -88,7 +88,7 @@ def _lags(data: Measurements) -> list[int]:
     return [lag for size in sorted(sizes) for lag in (size, -size)]
 
 
-def _realigning(data: Measurements, fit: RobustFit, lags: list[int]) -> Iterator[tuple[int, np.ndarray]]:
+def _realigning(data: Measurements, fit: FittedSetup, lags: list[int]) -> Iterator[tuple[int, np.ndarray]]:
     """Yield the remaining number of gross rows, and the row of each reading's position (n_rows,), -1 if none.
 
     Nothing is yielded if shifted rows do not explain the data.

@@ -20,7 +20,7 @@ from calflow.effects.geometry import PLACED_SD as STATED_SD
 from calflow.effects.geometry import DimensionError, Geometry
 from calflow.effects.misstated_payload import PayloadMass
 from calflow.estimation.registration import marker_places, marker_shifts, with_markers
-from calflow.faults.rough import PLACED_SD, WIDTH, RobustFit, lengths, level, motion, robust_fit
+from calflow.faults.rough import FAR_BETTER, GROSS, PLACED_SD, WIDTH, lengths, level, motion, robust_fit
 from calflow.files.deferred import Rotation
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
@@ -182,9 +182,9 @@ class Setup:
     def fitted(self) -> FittedSetup:
         """The robust fit, which starts from that of the base."""
         turn, shift, _ = motion(self.points(), self.position)
-        prior = self._mean_near(turn, shift), self.sd
-        fit = robust_fit(self.model, self.conditions, self.position, turn, shift, *prior, self.mean)
-        return FittedSetup(**vars(fit), setup=self)
+        mean = self._mean_near(turn, shift)
+        fit = robust_fit(self.model, self.conditions, self.position, turn, shift, mean, self.sd, self.mean)
+        return FittedSetup(self, turn, shift, mean, *fit)
 
     @property
     def base(self) -> list[int]:
@@ -240,10 +240,60 @@ def _at(data: Measurements, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, n
 
 
 @dataclass(frozen=True)
-class FittedSetup(RobustFit):
-    """A set-up with its robust fit."""
+class FittedSetup:
+    """A set-up with its robust fit (see `robust_fit`).
+
+    turn (3, 3), shift (3,): from the robot's base to the measuring frame; mean (n_parameters,): the prior's, relative to these.
+    """
 
     setup: Setup
+    turn: np.ndarray
+    shift: np.ndarray
+    mean: np.ndarray
+    estimate: np.ndarray
+    covariance: np.ndarray
+    volume: float
+    scale: float
+
+    @property
+    def model(self) -> Model:
+        """The fitted model."""
+        return self.setup.model
+
+    @property
+    def gross(self) -> float:
+        """The threshold of gross errors [m]."""
+        return GROSS * self.scale
+
+    @property
+    def deviations(self) -> np.ndarray:
+        """The deviation of each parameter from its prior mean, in standard deviations, shape (n_parameters,)."""
+        sd = self.setup.sd
+        return np.divide(self.estimate - self.mean, sd, out=np.zeros(len(sd)), where=sd > 0)
+
+    def predicted(self, conditions: np.ndarray) -> np.ndarray:
+        """Return positions (n_rows, 3) [m] for packed conditions; nan if a loop cannot be closed."""
+        return self.model.position(self.estimate, conditions) @ self.turn.T + self.shift
+
+    def moved(self, conditions: np.ndarray, joint: int, by: float) -> np.ndarray:
+        """Return the displacement (n_rows, 3) [m] of positions by a step of a joint (from 0) [rad or m]."""
+        stepped = conditions.copy()
+        stepped[joint] += by
+        return self.predicted(stepped) - self.predicted(conditions)
+
+    def miss(self, data: Measurements) -> np.ndarray:
+        """Return each row's position error [m], shape (n_rows,); gross ones scaled by the uncertainty of prediction."""
+        miss = lengths(data.position - self.predicted(data.conditions))
+        far = np.isfinite(miss) & (miss > self.gross)
+        if far.any():
+            jacobian = self.model.position_jacobian(self.estimate, data.conditions[:, far])
+            variance = ((jacobian @ self.covariance) * jacobian).sum(axis=2).max(axis=1)
+            miss[far] /= np.sqrt(1 + variance / self.scale**2)
+        return miss
+
+    def better(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+        """Return whether gross errors (…) [m] fall to the level of other rows."""
+        return (before > self.gross) & (after < np.minimum(self.gross, before / FAR_BETTER))
 
     def errors_at(self, setup: Setup) -> np.ndarray:
         """Return the position errors of another set-up's rows, shape (n_rows,) [m]."""
@@ -268,7 +318,7 @@ class FittedSetup(RobustFit):
     @property
     def suspicious(self) -> bool:
         """Whether parameters, scale or share of outliers exceed those of any robot as stated."""
-        deviation = np.abs(self.deviations[self.sd < PLACED_SD]).max(initial=0.0)
+        deviation = np.abs(self.deviations[self.setup.sd < PLACED_SD]).max(initial=0.0)
         return bool(deviation > SUSPECT or self.scale > SUSPECT_SCALE or self.gross_share > SINGLE)
 
     @property
@@ -295,7 +345,7 @@ class FittedSetup(RobustFit):
     @cached_property
     def log_prior(self) -> float:
         """The log of the prior density at the estimate times the posterior volume (Occam factor)."""
-        uncertain = (self.sd > 0) & (self.sd < PLACED_SD)
+        uncertain = (self.setup.sd > 0) & (self.setup.sd < PLACED_SD)
         return float(self.volume - (self.deviations[uncertain] ** 2).sum() / 2)
 
     @property
