@@ -124,7 +124,7 @@ def test_what_nobody_measured_of_the_orientation_is_said(posed):
     one = replace(known, covariance=free)
     first, second = not_known(one, data.conditions)
     assert "no orientation was measured" in first
-    assert "about its own z is known to 2 mrad only" in second
+    assert "about its own z counts as known to 2 mrad, an assumption" in second
     assert len(not_known(known, data.conditions)) == 1
     seen = replace(one, model=replace(one.model, observations=(Pose(Series()),)))
     assert not_known(seen, data.conditions) == []

@@ -564,7 +564,7 @@ def test_all_that_is_to_be_measured_is_one_step() -> None:
     )
     assert "(joints 2 and 3)" in session.sentence
     assert "apply a known side force" in session.sentence
-    assert session.keys == f"or state sigma_mm; {NEEDS['warmth'].words}"
+    assert session.keys == f"sigma_mm; {NEEDS['warmth'].words}"
     (later,) = advice(results({**QUIET, **silent, **diagnosed()}))
     assert later.sentence.startswith("If you measure again: about 4 poses")
 

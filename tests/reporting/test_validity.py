@@ -7,10 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calflow.files.words import mm
+from calflow.estimation.model_tables import ModelObservation
+from calflow.files.tables import Results, to_document, to_frame
+from calflow.files.words import mm, number
 from calflow.reporting.blocks import Plot
 from calflow.reporting.material import Material
 from calflow.reporting.sections.validity import Promised, validity_section
+from calflow.reporting.sections.verdict import how_sure
 from calflow.reporting.style import style
 from calflow.stages.report import report_material
 from reporting.case import context
@@ -46,6 +49,21 @@ def test_a_region_without_gain_is_told(material: Material) -> None:
     )
     at_work = Promised.at_work(material.calibrated, material.data, {})
     assert material.certainty.no_gain == pytest.approx(1 - at_work.gained.mean())
+
+
+def test_an_axis_that_nothing_measured_is_not_told_of_measured_positions(material: Material) -> None:
+    """Fails if positions were measured along all axes, and page one says that nothing tells where the tool is along one."""
+    told = to_document(replace(material.certainty, no_gain=0.5, untold=("z",)))
+    lengths = to_frame([ModelObservation(kind="distance", series="", observation="{}")], ModelObservation)
+    for tables, expected in (({}, False), ({"identify/observations.csv": lengths}, True)):
+        doubted = material.results | Results(tables, {"identify/certainty.json": told})
+        said = dict(how_sure(replace(material, results=doubted)))["Where:"]
+        assert ("No measurement tells where the tool is along z" in said) == expected
+
+
+def test_a_figure_of_zero_has_no_sign() -> None:
+    """Fails if what rounds to zero is shown as if it were a little more, or less."""
+    assert [number(value, "+.2f") for value in (0.001, -0.001, 0.012, -0.012)] == ["0.00", "0.00", "+0.01", "−0.01"]
 
 
 def test_it_is_drawn_with_what_was_measured(material: Material) -> None:

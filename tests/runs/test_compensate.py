@@ -28,7 +28,9 @@ def asked(finished):
 def test_commands_land_where_predict_says(finished, asked):
     """Fails if commands are of another model, payload or unit than predictions, or one out of reach is commanded."""
     answer = finished.calflow("compensate", finished / "runs", finished / "targets.csv", "--out", finished / "c.csv")
-    assert answer.code == 0, answer
+    assert answer.code == 3, answer
+    printed = finished.calflow("compensate", finished / "runs", finished / "targets.csv")
+    assert (printed.code, printed.out) == (3, (finished / "c.csv").read_text(encoding="utf-8"))
     assert "pose P4" in answer.err
     assert "3 of 4 targets reached" in answer.out
     commands = pd.read_csv(finished / "c.csv")

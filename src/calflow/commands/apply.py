@@ -86,7 +86,7 @@ def compensate_command(
 ) -> None:  # fmt: skip
     """Work out joint commands with which the real robot lands on the targets of TARGETS.csv.
 
-    Give the run's folder, or its study.
+    Give the run's folder, or its study. Exit code: 0 if every target is reached, 3 if some are not.
     """
     from calflow.deployment.compensation import command_table
     from calflow.runs.given_rows import compensate_file
@@ -97,12 +97,19 @@ def compensate_command(
     given, compensation = compensate_file(calibration, targets, frames=frames, in_order=in_order, missing=missing)
     say_notes((*calibration.warnings, *compensation.notes))
     table = given.beside(command_table(compensation, in_order))
+    landed = table[table["reached"]]
     if out is None:
         hand_over(given.text(table))
-        return
-    write_free(out, given.text(table).encode(), force)
-    landed = table[table["reached"]]
-    say(f"{len(landed)} of {len(table)} targets reached")
+    else:
+        write_free(out, given.text(table).encode(), force)
+        _say_reached(landed, len(table))
+    if len(landed) < len(table):
+        sys.exit(NOT_WELL)
+
+
+def _say_reached(landed: pd.DataFrame, targets: int) -> None:
+    """Print how many targets are reached, and how far off the robot would land without and with the commands."""
+    say(f"{len(landed)} of {plural(targets, 'target')} reached")
     if len(landed):
         before, now = _rms(landed["nominal_miss_mm"]), _rms(landed["expected_mm"])
         say(f"RMS distance from the target: {before:.3f} mm with nominal commands, {now:.3f} mm expected with these")

@@ -38,6 +38,7 @@ from calflow.files.deferred import Rotation, pd
 from calflow.files.problems import MOST_TOLD, Problem, nearest, refuse, refuse_any
 from calflow.files.tables import column, typed
 from calflow.files.toml import Seed, checked_arguments
+from calflow.files.words import listed
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import approach_and_travel, numbered
 from calflow.model import Model, over_rows
@@ -107,12 +108,12 @@ def not_known(calibrated: CalibratedModel, conditions: np.ndarray) -> list[str]:
         "sits on it is not checked"
     ]
     untold = calibrated.untold(Model.rotation_jacobian, few)
-    problems += [
-        f"the tool's turn about its own {axis} is known to {1e3 * typical[k]:.2g} mrad only, which is an assumption about "
-        "robots like this or a statement of the study: only measured orientations would show it"
-        for k, axis in enumerate("xyz")
-        if untold[k] > MOST_UNTOLD
-    ]
+    if unseen := np.flatnonzero(untold > MOST_UNTOLD).tolist():
+        axes, sizes = listed(["xyz"[k] for k in unseen]), listed([f"{1e3 * typical[k]:.2g}" for k in unseen])
+        problems.append(
+            f"the tool's turn about its own {axes} counts as known to {sizes} mrad, an assumption about robots like this or a "
+            "statement of the study: only measured orientations would show it"
+        )
     return problems
 
 

@@ -64,7 +64,7 @@ class Advice:
     @property
     def whole(self) -> str:
         """The sentences with the settings concerned, for readers of the study's files."""
-        return f"{self.sentence} ({self.keys})" if self.keys else self.sentence
+        return f"{self.sentence} (In the files: {self.keys}.)" if self.keys else self.sentence
 
 
 Rule = Callable[[RunOutcome], Iterable[Advice]]

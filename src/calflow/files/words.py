@@ -40,11 +40,11 @@ def readable(unit: str) -> tuple[float, str]:
 
 
 def number(value: float, form: str) -> str:
-    """Return a formatted number with a typographic minus sign, omitted before zero; a dash if it is not finite."""
+    """Return a formatted number with a typographic minus sign, and no sign before zero; a dash if it is not finite."""
     if not math.isfinite(value):
         return "–"
     text = format(value, form)
-    return text.replace("-", "−") if any(digit in text for digit in "123456789") else text.lstrip("-")
+    return text.replace("-", "−") if any(digit in text for digit in "123456789") else text.lstrip("+-")
 
 
 def interval(lower: float, upper: float) -> str:

@@ -168,10 +168,10 @@ def noise_unknown(outcome: RunOutcome) -> Iterator[Advice]:
     if not outcome.summary.noise_known:
         sentence = (
             "Measure some poses again, coming back to each from elsewhere: at least "
-            f"{-(-MIN_REPEATS // 3)} repeats in all, better {REPEATS}. Without them neither the noise nor a gap in the model can "
-            "be seen."
+            f"{-(-MIN_REPEATS // 3)} repeats in all, better {REPEATS}. Or state the device's noise. Without either, neither the "
+            "noise nor a gap in the model can be seen."
         )
-        yield Advice(2, sentence, keys=f"or state sigma_{outcome.accuracy[0].unit}", poses=REPEATS)
+        yield Advice(2, sentence, keys=f"sigma_{outcome.accuracy[0].unit}", poses=REPEATS)
 
 
 def nothing_held_out(outcome: RunOutcome) -> Iterator[Advice]:

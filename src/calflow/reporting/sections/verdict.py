@@ -153,7 +153,7 @@ def how_sure(material: Material) -> list[tuple[str, str]]:
     each = " Means are over all points; the figure shows the worst of each pose." if many else ""
     sentences = [("Errors:", f"measured {of_poses}.{each}"), ("Instrument:", f"{alone}.")]
     no_gain = f" {no_gain_words(material.no_gain, 'that were measured')}"
-    if no_gain.strip() and certainty.untold:
+    if no_gain.strip() and certainty.untold and not material.is_of_positions:
         axes = f"{listed(certainty.untold)} of the measuring frame"
         no_gain += (
             f" No measurement tells where the tool is along {axes}: its error there may be any that such robots have."
