@@ -17,6 +17,7 @@ from calflow.deployment.run_outcome import RunOutcome
 from calflow.design.candidates import candidates
 from calflow.estimation.calibrated_model import Alternative, CalibratedModel
 from calflow.files.tables import Results
+from calflow.measurements.saved import load_measurements, save_measurements
 from calflow.measurements.series import Series
 from calflow.model import Model, build
 from effects.test_axis_straightness import ON_A_RAIL
@@ -279,3 +280,14 @@ def test_a_saved_calibration_is_a_run_for_the_command_line(tmp_path, small):
     (folder / "identify" / "covariance.csv").write_text("parameter\n")
     with pytest.raises(cf.InputError, match=r"identify/covariance\.csv was changed by hand"):
         cf.Calibration.load(folder)
+
+
+def test_what_no_column_says_of_measurements_is_saved(tmp_path):
+    """Fails if rows that do not say what is carried come back as rows that say that nothing is."""
+    data = cf.Measurements.from_arrays(robots.ur10(), np.zeros((2, 6)), np.ones((2, 3)), payload="load")
+    data = replace(data, notes=("a note",), time_origin=3.0, units=("mm",), payload_stated=False)
+    save_measurements(data, tmp_path)
+    loaded = load_measurements(tmp_path, data.robot)
+    for field in fields(data):
+        if field.name != "table":
+            assert getattr(loaded, field.name) == getattr(data, field.name), field.name

@@ -28,6 +28,7 @@ class Beside:
     time_origin: float | None
     units: tuple[str, ...]
     types: dict[str, str]
+    payload_stated: bool = True
 
 
 def save_measurements(data: Measurements, folder: Path) -> None:
@@ -35,7 +36,7 @@ def save_measurements(data: Measurements, folder: Path) -> None:
     table = data.table.rename(columns=_names_with_unit(data.robot))
     types = {str(name): str(kind) for name, kind in zip(table, table.dtypes, strict=True)}
     write_csv(inside(folder, ROWS_FILE), table, exact=True)
-    beside = Beside(data.notes, data.series, data.time_origin, data.units, types)
+    beside = Beside(data.notes, data.series, data.time_origin, data.units, types, data.payload_stated)
     write_text(inside(folder, BESIDE_FILE), TypeAdapter(Beside).dump_json(beside, indent=2).decode() + "\n")
 
 
@@ -47,7 +48,9 @@ def load_measurements(folder: Path, robot: Robot) -> Measurements:
     plain = {name for name, kind in beside.types.items() if kind.startswith(("int", "float", "bool"))}
     cells = {name: figures[name] if name in plain else texts[name] for name in beside.types}
     table = pd.DataFrame({names.get(name, name): column for name, column in cells.items()})
-    return Measurements(robot, table, beside.notes, beside.series, beside.time_origin, beside.units)
+    return Measurements(
+        robot, table, beside.notes, beside.series, beside.time_origin, beside.units, beside.payload_stated
+    )
 
 
 def _names_with_unit(robot: Robot) -> dict[str, str]:
