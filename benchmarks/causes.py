@@ -113,7 +113,7 @@ def diagnosed(
     beside = Linearisation.at(final, catalogue.effects).beside.scores
     reached = models_in_reach(final, found.findings, beside, catalogue)
     extended = CalibratedModel(
-        final.model, final.fit.estimate, final.fit.covariance, final.fit.at_bound, series_noise(case.known.noise(data)),
+        final.model, final.fit.estimate, final.fit.covariance, final.fit.at_bound, series_noise(case.known.noise(data), data),
         final.noise.discrepancy, final.fit.loss, final.errors,
     )  # fmt: skip
     return extended, found, catalogue, reached

@@ -53,9 +53,9 @@ def covered(run: Path, measurements: Path, results: Results) -> dict[str, object
     rows = run.parent / "rows_to_predict.csv"
     asked.drop(columns=["x_mm", "y_mm", "z_mm", "split", "sigma_mm"], errors="ignore").to_csv(rows, index=False)
     sd = predicted_sd(run, rows)
-    (noise,) = results.tables["diagnose/noise.csv"].to_dict("records")
+    (noise,) = results.documents["diagnose/summary.json"]["noise"]
     if noise["source"] != "estimated":
-        own = asked["sigma_mm"].to_numpy()[:, None] if "sigma_mm" in asked else noise["sigma"]
+        own = asked["sigma_mm"].to_numpy()[:, None] if "sigma_mm" in asked else 1e3 * noise["sigma"]
         sd = np.hypot(sd, own)
     inside = np.abs(left[["dx_mm", "dy_mm", "dz_mm"]].to_numpy()) < WITHIN * sd
     return {"covered": float(inside.mean()), "coordinates": inside.size}

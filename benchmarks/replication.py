@@ -108,8 +108,8 @@ def diagnosed(part: Part) -> tuple[Part, Row, pd.DataFrame]:
 
 
 def _noise(results: Results) -> Row:
-    noise = results.tables["diagnose/noise.csv"]
-    return {"sigma_mm": noise["sigma"].iloc[0], "noise": noise["source"].iloc[0]}
+    noise = results.documents["diagnose/summary.json"]["noise"][0]
+    return {"sigma_mm": 1e3 * noise["sigma"], "noise": noise["source"]}
 
 
 def _written(part: Part, folder: Path) -> Path:

@@ -65,7 +65,6 @@ from calflow.estimation.model_tables import (
     model_tables,
     observation_table,
     placement_table,
-    read_error_model,
 )
 from calflow.estimation.noise import NoiseSource
 from calflow.estimation.parameters import Parameters, mistaken
@@ -642,9 +641,9 @@ def _completed(
 
     before: the calibration that was diagnosed, whose levels hold for the same noise.
     """
-    sizes = read_error_model(stage, results, fitted.model.observations)
-    # The covariance has the memory order of one that was loaded, so that sums agree exactly.
-    model = replace(fitted, covariance=np.asfortranarray(fitted.covariance), **sizes)
+    # The discrepancy was rounded, and the covariance has the memory order of one that was loaded, so that sums agree exactly.
+    discrepancy = results.document(f"{stage}/summary.json", FitSummary).discrepancy(fitted.model.observations)
+    model = replace(fitted, covariance=np.asfortranarray(fitted.covariance), discrepancy=discrepancy)
     certainty = Certainty.of(model, data, results.tables[f"{stage}/residuals.csv"])
     results |= Results(documents={f"{stage}/certainty.json": to_document(certainty)})
     if any(type(observation).in_space is not Observation.in_space for observation in model.model.observations):
@@ -717,7 +716,7 @@ def _identified_tables(fitted: FittedEffects, faults: tuple[Fault, ...]) -> Resu
     return Results(tables, {"identify/summary.json": to_document(fitted.summary)})
 
 
-AS_IDENTIFIED = ("parameters", "covariance", "errors", "effects", "noise", "residuals", "needed_conditions")
+AS_IDENTIFIED = ("parameters", "covariance", "errors", "effects", "residuals", "needed_conditions")
 
 
 def _diagnosed_tables(
@@ -746,7 +745,7 @@ def _diagnosed_tables(
         "diagnose/curves.csv": curves(diagnosis.extended, diagnosis.causes, data),
         **model_tables("diagnose", extended),
     }
-    summary = diagnosis_summary(diagnosis, before)
+    summary = diagnosis_summary(diagnosis, before, extended.device)
     if diagnosis.final is None:
         summary = replace(summary, **{field.name: getattr(before.summary, field.name) for field in fields(FitSummary)})
         tables |= {f"diagnose/{name}.csv": before.results.tables[f"identify/{name}.csv"] for name in AS_IDENTIFIED}

@@ -208,7 +208,7 @@ def test_a_loose_marker_does_not_widen_what_is_promised_of_the_others(stated):
     levels = levels_of_residuals(seen)
     settled = seen.weighed(levels.sigma(seen.data, seen.device))
     sigma = replace(settled.device, sigma=settled.noise.sigma / levels.factor(seen.data))
-    devices = levels.devices(series_noise(sigma), seen.data)
+    devices = levels.devices(series_noise(sigma, seen.data), seen.data)
     calibrated = CalibratedModel(
         settled.model, settled.fit.estimate, settled.covariance, settled.fit.at_bound, devices,
         settled.noise.discrepancy, settled.fit.loss, settled.errors,
@@ -229,7 +229,7 @@ def test_rows_further_off_are_promised_their_own_noise(stated):
     sigma = replace(settled.device, sigma=np.full(len(seen.data), np.median(settled.noise.sigma)))
     calibrated = CalibratedModel(
         settled.model, settled.fit.estimate, settled.covariance, settled.fit.at_bound,
-        grown.devices(series_noise(sigma), seen.data), settled.noise.discrepancy, settled.fit.loss, settled.errors,
+        grown.devices(series_noise(sigma, seen.data), seen.data), settled.noise.discrepancy, settled.fit.loss, settled.errors,
     )  # fmt: skip
     promised = np.sqrt(calibrated.promised_variance(seen.data, METRE).mean(axis=1))
     distance = seen.data.table["range"].to_numpy()

@@ -219,7 +219,6 @@ def with_diagnosis(given: Context, *found: Found, poses: int = 5) -> Context:
         "effects": effect_table(model.effects),
         "models_in_reach": to_frame((), ModelRow),
         "cause_probabilities": to_frame((), CauseProbability),
-        "noise": tables["identify/noise.csv"],
         "needed_conditions": tables["identify/needed_conditions.csv"],
         "residuals": residuals,
         "curves": _curves(told, data.table["pose"], data.table["split"]),

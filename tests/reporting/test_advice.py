@@ -26,10 +26,12 @@ from calflow.diagnosis.misfit import MisfitRegion
 from calflow.effects.base import NEEDS
 from calflow.effects.wording import NamedCause
 from calflow.estimation.accuracy import Accuracy
+from calflow.estimation.calibrated_model import SeriesNoise
 from calflow.estimation.certainty import Certainty, MissedPose
 from calflow.estimation.identifiability import Statement
 from calflow.estimation.lack_of_fit import NoiseDoubt
 from calflow.estimation.model_tables import Extrapolation, FitSummary, IdentifySummary, Placed, Solver
+from calflow.estimation.noise import Source
 from calflow.faults.outlier import MISNAMED
 from calflow.files.tables import Results, to_document, to_frame
 from calflow.observations.base import UNKNOWN_SIZE_SD
@@ -664,11 +666,10 @@ def test_a_contradicted_noise_is_the_first_thing_said() -> None:
 
 
 @pytest.mark.parametrize(("source", "told"), [("estimated", True), ("file", False)])
-def test_a_loose_marker_is_told_where_nobody_stated_a_noise(source: str, told: bool) -> None:
+def test_a_loose_marker_is_told_where_nobody_stated_a_noise(source: Source, told: bool) -> None:
     """Fails if page one does not say whose readings scatter, or says it twice: a stated noise is contradicted for it already."""
-    row = {"series": "", "kind": "position", "source": source, "unit": "mm", "sigma": 0.03, "typical": 0.05,
-           "growth_mm_per_m": 0.0, "label": "marker", "factor": 1.0, "factor A": 0.8, "factor B": 3.2}  # fmt: skip
-    seen = results(summary() | {"identify/noise.csv": pd.DataFrame([row])})
+    noise = SeriesNoise(3e-5, source, 5e-5, label="marker", factors={"A": 0.8, "B": 3.2})
+    seen = results(summary(noise=(noise,)))
     sentence = "Marker B scatters 4 times as much as the quietest: see whether it sits firmly."
     assert foremost(seen) == [sentence] * told
 

@@ -22,7 +22,6 @@ from calflow.estimation.lack_of_fit import NoiseDoubt
 from calflow.estimation.leverage import JudgedResidual
 from calflow.estimation.model_tables import (
     AlternativeParameter,
-    DeviceNoise,
     FitSummary,
     IdentifySummary,
     ModelEffect,
@@ -79,7 +78,6 @@ class RunOutcome:
     correlations = _Table("The most correlated parameters.", "identify/correlations.csv", Correlation)
     counted = _Table("Which parameters a model with fewer keeps.", "identify/count.csv", Counted)
     redundant = _Table("Figures of full origins that are no parameters.", "identify/redundant.csv", Redundant)
-    device_noise = _Table("The noise of each series of measurements.", "noise.csv", DeviceNoise)
     placement = _Table("Where base, markers and tool are.", "identify/placement.csv", Placed)
     findings = _Table(
         "Faults of the data, causes, and what no cause explains, best first; none where nothing is lacking.",

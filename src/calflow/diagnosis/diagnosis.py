@@ -32,7 +32,7 @@ from calflow.diagnosis.verdict import (
 )
 from calflow.effects.cause import Cause
 from calflow.estimation.accuracy import Accuracy, accuracy, leading_errors
-from calflow.estimation.calibrated_model import Alternative, CalibratedModel, series_noise
+from calflow.estimation.calibrated_model import Alternative, CalibratedModel, SeriesNoise, series_noise
 from calflow.estimation.fit import Fit
 from calflow.estimation.leverage import UNSURE
 from calflow.estimation.model_tables import FitSummary, fit_figures
@@ -146,7 +146,7 @@ def extended_model(diagnosis: Diagnosis, calibrated: CalibratedModel, data: Meas
     identified = CalibratedModel(**kept | {"alternatives": diagnosis.alternatives, "field": None})
     if (final := diagnosis.final) is None:
         return identified
-    devices = series_noise(_noise(diagnosis, final, calibrated, data))
+    devices = series_noise(_noise(diagnosis, final, calibrated, data), data)
     return replace(
         identified,
         model=final.model,
@@ -183,8 +183,10 @@ def accuracy_table(diagnosis: Diagnosis, data: Measurements, before: Sequence[Ac
     return to_frame(rows, Accuracy)
 
 
-def diagnosis_summary(diagnosis: Diagnosis, calibrated: CalibratedModel) -> DiagnosisSummary:
-    """Return the figures of `diagnose/summary.json`."""
+def diagnosis_summary(
+    diagnosis: Diagnosis, calibrated: CalibratedModel, devices: tuple[SeriesNoise, ...]
+) -> DiagnosisSummary:
+    """Return the figures of `diagnose/summary.json`, given the identified model and the noise of the extended one's series."""
     final, first = diagnosis.final or diagnosis.extended, diagnosis.start
     sigma = diagnosis.growth.floor if diagnosis.growth else calibrated.device[0].sigma
     if final.noise.sources[0] == "estimated" and not diagnosis.growth:
@@ -192,7 +194,13 @@ def diagnosis_summary(diagnosis: Diagnosis, calibrated: CalibratedModel) -> Diag
     return DiagnosisSummary(
         sigma_mm=1e3 * sigma if final.noise.leading[0] == METRE else None,
         **fit_figures(
-            final.fit, final.noise, final.lack, final.left_out.at_new_poses, diagnosis.upper_limit, final.errors
+            final.fit,
+            final.noise,
+            devices,
+            final.lack,
+            final.left_out.at_new_poses,
+            diagnosis.upper_limit,
+            final.errors,
         ),
         intraclass=final.intraclass,
         reduced_chi2_before=first.lack.reduced_chi2 if first.noise.known else None,

@@ -18,11 +18,13 @@ from calflow.effects.cause import Carried, Cause
 from calflow.estimation.accuracy import completed, error_jacobian, errors, judged_unit
 from calflow.estimation.error_model import ErrorModel, of_parameters
 from calflow.estimation.extrapolation import beyond
+from calflow.estimation.lack_of_fit import WORTH_TELLING
 from calflow.estimation.least_squares import Loss
 from calflow.estimation.needed_conditions import NeededCondition, depended_on
 from calflow.estimation.noise import Label, Noise, PerUnit, Source, stated_noise
 from calflow.estimation.residual_field import ResidualField
 from calflow.files.units import METRE, RADIAN, MeasurementUnit
+from calflow.files.words import first_up, rounded
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 
@@ -33,6 +35,7 @@ RANK = 1e-9  # relative size below which a singular value, or what a fit leaves 
 CERTAIN = 0.95  # probability of a smaller error than the nominal robot's, from which a gain is called certain
 UNMEASURED = 0.5  # posterior over prior variance of a direction, above which it was hardly measured
 MOST_UNTOLD = 0.5  # share of a variance left to the priors, from which that is said
+LOOK: dict[Label, str] = {"session": "what was different then", "marker": "whether it sits firmly"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +87,7 @@ class SeriesNoise:
     """The noise of a series: sigma of a single row (at zero range), its source, and its growth with range [m/m].
 
     typical is its root mean square over the measured rows. Both are in the series' leading unit. factors: of the noise by what a
-    label names, in those sessions or of those markers where it is another.
+    label names, in those sessions or of those markers where it is another. series: its name; empty: the only one.
     """
 
     sigma: float
@@ -93,6 +96,17 @@ class SeriesNoise:
     growth: float = 0.0
     label: Label = "session"
     factors: Mapping[str, float] = field(default_factory=dict)
+    series: str = ""
+
+    @property
+    def statement(self) -> str:
+        """A sentence on the noisiest session, or marker, of a series whose noise nobody stated; empty where all are alike."""
+        times = max(self.factors.values(), default=1.0) / min(self.factors.values(), default=1.0)
+        if self.source == "file" or times <= WORTH_TELLING:
+            return ""
+        noisiest = max(self.factors, key=lambda name: self.factors[name]) or "without a name"
+        named = f"{first_up(self.label)} {noisiest}{f' of {self.series}' if self.series else ''}"
+        return f"{named} scatters {rounded(times)} times as much as the quietest: see {LOOK[self.label]}."
 
     def of_rows(self, data: Measurements, stated: np.ndarray | float = np.nan) -> np.ndarray:
         """Return each row's noise (n_rows,), given that which it states (nan: none); typical where nothing tells it."""
@@ -382,10 +396,11 @@ class CalibratedModel:
         return np.concatenate(gained)
 
 
-def series_noise(noise: Noise) -> tuple[SeriesNoise, ...]:
+def series_noise(noise: Noise, data: Measurements) -> tuple[SeriesNoise, ...]:
     """Return the noise of each series, as far as it is the same for all its rows."""
     typical = [float(np.sqrt(np.mean(noise.sigma[noise.of_series(k)] ** 2))) for k in range(len(noise.sources))]
-    return tuple(SeriesNoise(size, source, size) for size, source in zip(typical, noise.sources, strict=True))
+    every = zip(typical, noise.sources, data.series, strict=True)
+    return tuple(SeriesNoise(size, source, size, series=series.name) for size, source, series in every)
 
 
 def _parts(

@@ -69,7 +69,7 @@ class FittedEffects:
         """The calibrated model, from which later stages start."""
         used, fitted = self.data.only(self.data.train | self.data.held_out), self.data.joints[self.data.train]
         return CalibratedModel(
-            self.model, self.fit.estimate, self.fit.covariance, self.fit.at_bound, series_noise(self.noise),
+            self.model, self.fit.estimate, self.fit.covariance, self.fit.at_bound, series_noise(self.noise, self.data),
             self.noise.discrepancy, self.fit.loss, self.errors, intraclass=self.noise.intraclass,
             needed=needed_conditions(self.model, self.fit.estimate, self.data), time_origin=self.data.time_origin,
             payloads=used.payloads, joint_range=np.array([fitted.min(axis=0), fitted.max(axis=0)]),
@@ -84,7 +84,13 @@ class FittedEffects:
         return IdentifySummary(
             sigma_mm=1e3 * noise.typical(METRE) if METRE in noise.leading else None,
             **fit_figures(
-                fit, noise, self.lack, self.left_out.at_new_poses, self.left_out.upper_limit(noise.known), self.errors
+                fit,
+                noise,
+                self.known.device,
+                self.lack,
+                self.left_out.at_new_poses,
+                self.left_out.upper_limit(noise.known),
+                self.errors,
             ),
             intraclass=noise.intraclass,
             spread_mm=1e3 * float(np.linalg.norm(points - points.mean(axis=0), axis=1).mean()),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import groupby
 from typing import Any
@@ -17,10 +17,10 @@ from calflow.estimation.certainty import Certainty
 from calflow.estimation.error_model import ErrorModel, error_table, read_errors
 from calflow.estimation.extrapolation import Extrapolation
 from calflow.estimation.fit import Fit
-from calflow.estimation.lack_of_fit import SIGNIFICANT, WORTH_TELLING, LackOfFit, NoiseDoubt
+from calflow.estimation.lack_of_fit import SIGNIFICANT, LackOfFit, NoiseDoubt
 from calflow.estimation.least_squares import Loss
 from calflow.estimation.needed_conditions import NeededCondition
-from calflow.estimation.noise import Label, Noise, PerUnit, Source
+from calflow.estimation.noise import Noise, PerUnit, Source
 from calflow.estimation.parameters import FittedParameter, covariance_table
 from calflow.estimation.registration import about_places
 from calflow.estimation.residual_field import SUMMARY as FIELD
@@ -32,7 +32,7 @@ from calflow.files.problems import refuse
 from calflow.files.tables import Results, column, to_frame
 from calflow.files.toml import adapter
 from calflow.files.units import METRE
-from calflow.files.words import first_up, mm, rounded
+from calflow.files.words import mm
 from calflow.model import Model
 from calflow.observations import Observation, observation_kinds
 from calflow.robot.frames import Vector, vector
@@ -74,44 +74,6 @@ class ModelObservation:
     kind: str = column("id of the observation")
     series: str = column("name of the series; empty: the only one")
     observation: str = column("all its fields, as JSON")
-
-
-LOOK: dict[Label, str] = {"session": "what was different then", "marker": "whether it sits firmly"}
-
-
-@dataclass(frozen=True, kw_only=True)
-class DeviceNoise:
-    """The noise of a series of measurements, as far as it is the same for all rows."""
-
-    series: str = column("its name; empty: the only one")
-    kind: str = column("id of its observation")
-    source: Source = column("the source of the noise")
-    unit: str = column("the unit that sigma and typical are in: mm, mrad, px, …")
-    sigma: float = column(
-        "of a single row, per axis, in `unit`; of noise that grows with range, its value at zero range"
-    )
-    typical: float = column("root mean square over the rows, at their ranges, per axis, in `unit`")
-    growth_mm_per_m: float = column("its growth with range", "mm/m")
-    label: Label = column("what tells the rows apart whose noise is another: their session, or their marker")
-    factor: float = column("by which the rows that name none are noisier than stated")
-    by_name: Mapping[str, float] = column("by which those of a session, or marker, are", name="factor {name}")
-
-    @property
-    def factors(self) -> Mapping[str, float]:
-        """Factors of the noise in those sessions, or of those markers, where it is another."""
-        every = {"factor ": self.factor, **self.by_name}
-        return {name.removeprefix("factor "): times for name, times in every.items() if times != 1}
-
-    @property
-    def statement(self) -> str:
-        """A sentence on the noisiest session, or marker, of a series whose noise nobody stated; empty where all are alike."""
-        factors = self.factors
-        times = max(factors.values(), default=1.0) / min(factors.values(), default=1.0)
-        if self.source == "file" or times <= WORTH_TELLING:
-            return ""
-        noisiest = max(factors, key=lambda name: factors[name]) or "without a name"
-        named = f"{first_up(self.label)} {noisiest}{f' of {self.series}' if self.series else ''}"
-        return f"{named} scatters {rounded(times)} times as much as the quietest: see {LOOK[self.label]}."
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -174,6 +136,11 @@ class FitSummary:
         "device's noise, which is included if estimated from the fit; without smooth errors by leave-one-pose-out errors",
         "mm",
     )
+    noise: tuple[SeriesNoise, ...] = column(
+        "noise of each series, in SI units or px: sigma of a row per axis (at zero range), typical over the rows, growth with "
+        "range, and factors of what label names",
+        default=(),
+    )
     intraclass: float = column(
         "correlation of the errors of markers at one standstill, axis by axis; 0: independent", default=0.0
     )
@@ -190,6 +157,11 @@ class FitSummary:
     def noise_known(self) -> bool:
         """Whether the noise of any series is known independently of the fit."""
         return any(source != "estimated" for source in self.noise_sources)
+
+    def discrepancy(self, observed: Sequence[Observation]) -> PerUnit:
+        """Return the model's discrepancy in SI units, given its observations."""
+        units = {unit.label: unit for observation in observed for unit in observation.units}
+        return PerUnit(tuple((units[label], size / units[label].scale) for label, size in self.discrepancies.items()))
 
     @property
     def discrepancy_mm(self) -> float:
@@ -226,11 +198,18 @@ class FitSummary:
 
 
 def fit_figures(
-    fit: Fit, noise: Noise, lack: LackOfFit, new_poses: float, limit: float, errors: ErrorModel
+    fit: Fit,
+    noise: Noise,
+    devices: tuple[SeriesNoise, ...],
+    lack: LackOfFit,
+    new_poses: float,
+    limit: float,
+    errors: ErrorModel,
 ) -> dict[str, Any]:
     """Return the fields of a `FitSummary` from a fit, its noise and its error model; new_poses and its limit are in m."""
     return {
         "noise_sources": noise.sources,
+        "noise": devices,
         "discrepancies": {unit.label: unit.shown(size) for unit, size in noise.discrepancy.sizes},
         "new_poses_mm": None if np.isnan(new_poses) else 1e3 * new_poses,
         "new_poses_limit_mm": None if np.isnan(limit) else 1e3 * limit,
@@ -276,7 +255,6 @@ def model_tables(stage: str, calibrated: CalibratedModel) -> dict[str, pd.DataFr
         "covariance": covariance_table(model.parameters, calibrated.covariance),
         "errors": error_table(calibrated.errors, model),
         "effects": effect_table(model.effects),
-        "noise": noise_table(calibrated.device, model.observations),
         "needed_conditions": to_frame(calibrated.needed, NeededCondition),
     }
     return {f"{stage}/{name}.csv": table for name, table in tables.items()}
@@ -316,21 +294,6 @@ def observation_table(observed: Sequence[Observation]) -> pd.DataFrame:
         for observation in observed
     ]
     return to_frame(rows, ModelObservation)
-
-
-def noise_table(devices: Sequence[SeriesNoise], observed: Sequence[Observation]) -> pd.DataFrame:
-    """Return the table of `DeviceNoise`."""
-    named = dict.fromkeys(name for device in devices for name in device.factors if name)
-    rows = [
-        DeviceNoise(
-            series=observation.series.name, kind=observation.id, source=device.source, unit=observation.units[0].label,
-            sigma=observation.units[0].shown(device.sigma), typical=observation.units[0].shown(device.typical),
-            growth_mm_per_m=1e3 * device.growth, label=device.label, factor=device.factors.get("", 1.0),
-            by_name={f"factor {name}": device.factors.get(name, 1.0) for name in named},
-        )
-        for device, observation in zip(devices, observed, strict=True)
-    ]  # fmt: skip
-    return to_frame(rows, DeviceNoise)
 
 
 def placement_table(robot: Robot, observed: Sequence[Observation]) -> pd.DataFrame:
@@ -387,6 +350,7 @@ def _read(stage: str, robot: Robot, results: Results, given: tuple[str, ...]) ->
         if names != stated:
             raise refuse(f"{stage}/{name}.csv does not fit the study's robot and effects; run {stage} again")
     needed = results.rows(f"{stage}/needed_conditions.csv", NeededCondition)
+    summary = results.document(f"{stage}/summary.json", FitSummary)
     time_origin = results.document("identify/summary.json", IdentifySummary).time_origin_s
     used = results.document("identify/certainty.json", Certainty)
     return CalibratedModel(
@@ -394,40 +358,16 @@ def _read(stage: str, robot: Robot, results: Results, given: tuple[str, ...]) ->
         np.array([parameter.estimate for parameter in parameters]),
         covariance.iloc[:, 1:].to_numpy(dtype=float),
         np.array([parameter.at_bound for parameter in parameters], dtype=bool),
-        **read_error_model(stage, results, model.observations),
+        device=summary.noise,
+        discrepancy=summary.discrepancy(observed),
+        loss=summary.loss,
+        intraclass=summary.intraclass,
         errors=read_errors(results.tables[f"{stage}/errors.csv"], model, FUNCTIONS),
         needed=tuple(needed),
         time_origin=time_origin,
         payloads=used.payloads,
         joint_range=np.array([used.joints_low, used.joints_high]) if used.joints_low else None,
     )
-
-
-def read_error_model(stage: str, results: Results, observed: Sequence[Observation]) -> dict[str, Any]:
-    """Return the noise and discrepancy from a stage's tables, by the fields of `CalibratedModel`.
-
-    Conversion to mm and back may change the last bits: a stage that saves its model goes on with the values read back.
-    """
-    summary = results.document(f"{stage}/summary.json", FitSummary)
-    units = {unit.label: unit for observation in observed for unit in observation.units}
-    return {
-        "device": tuple(
-            SeriesNoise(
-                row.sigma / units[row.unit].scale,
-                row.source,
-                row.typical / units[row.unit].scale,
-                row.growth_mm_per_m / 1e3,
-                row.label,
-                row.factors,
-            )
-            for row in results.rows(f"{stage}/noise.csv", DeviceNoise)
-        ),
-        "discrepancy": PerUnit(
-            tuple((units[label], size / units[label].scale) for label, size in summary.discrepancies.items())
-        ),
-        "loss": summary.loss,
-        "intraclass": summary.intraclass,
-    }
 
 
 def read_effects(rows: Sequence[ModelEffect | AlternativeParameter], robot: Robot) -> tuple[Effect, ...]:

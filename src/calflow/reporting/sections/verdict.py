@@ -268,7 +268,7 @@ def headline(outcome: RunOutcome) -> str:
 
 def foremost(outcome: RunOutcome) -> list[str]:
     """Return sentences on a contradicted or uneven noise and on a lack of fit, which precede any cause."""
-    uneven = (series.statement for series in outcome.device_noise)
+    uneven = (series.statement for series in outcome.fit_summary.noise)
     sentences = (*(doubt.statement for doubt in outcome.noise_doubts), *uneven, outcome.lack_of_fit_words)
     return [sentence for sentence in sentences if sentence]
 
