@@ -60,7 +60,6 @@ from calflow.estimation.leverage import Studentised, judged, judged_table
 from calflow.estimation.model_tables import (
     FitSummary,
     IdentifySummary,
-    alternatives_table,
     calibrated,
     model_tables,
     observation_table,
@@ -737,7 +736,6 @@ def _diagnosed_tables(
         "diagnose/next_poses.csv": poses_table(asked, diagnosis.extended),
         "diagnose/separations.csv": separations_table(asked),
         "diagnose/parameters.csv": Parameters.fitted(final.fit, final.covariance).table,
-        "diagnose/alternatives.csv": alternatives_table(diagnosis.alternatives, extended.model),
         "diagnose/models_in_reach.csv": models_table(diagnosis.in_reach),
         "diagnose/cause_probabilities.csv": cause_table(diagnosis.in_reach),
         "diagnose/faults.csv": odd_table,
@@ -745,9 +743,10 @@ def _diagnosed_tables(
         "diagnose/curves.csv": curves(diagnosis.extended, diagnosis.causes, data),
         **model_tables("diagnose", extended),
     }
-    summary = diagnosis_summary(diagnosis, before, extended.device)
+    summary = diagnosis_summary(diagnosis, before, extended)
     if diagnosis.final is None:
-        summary = replace(summary, **{field.name: getattr(before.summary, field.name) for field in fields(FitSummary)})
+        kept = {field.name: getattr(before.summary, field.name) for field in fields(FitSummary)}
+        summary = replace(summary, **kept | {"alternatives": summary.alternatives})
         tables |= {f"diagnose/{name}.csv": before.results.tables[f"identify/{name}.csv"] for name in AS_IDENTIFIED}
     return Results(tables, {"diagnose/summary.json": to_document(summary)})
 

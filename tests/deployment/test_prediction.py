@@ -15,7 +15,7 @@ from applied import predict
 from calflow.deployment.compensation import compensate
 from calflow.deployment.prediction import predict_rows
 from calflow.effects.thermal_growth import ThermalGrowth
-from calflow.estimation.model_tables import identified
+from calflow.estimation.model_tables import calibrated
 from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements
 from calflow.robot.robot import Robot
@@ -52,7 +52,7 @@ def test_its_standard_deviations_are_those_of_the_covariance(finished, asked):
     results = read_results(read_manifest(finished / "runs"), finished / "runs", "identify")
     robot = Robot.from_toml(finished / "robot.toml")
     data = Measurements.to_predict(asked, robot)
-    known = identified(robot, results, data.given)
+    known = calibrated(robot, results, data.given)
     covariance = results.tables["identify/covariance.csv"].drop(columns="parameter").to_numpy()
     step = 1e-3 * known.model.prior_sd
     jacobian = np.stack(
@@ -93,7 +93,7 @@ def test_commands_beyond_the_measured_range_are_told(finished, asked):
     results = read_results(read_manifest(finished / "runs"), finished / "runs", "identify")
     robot = Robot.from_toml(finished / "robot.toml")
     data = Measurements.to_predict(asked, robot)
-    known = identified(robot, results, data.given)
+    known = calibrated(robot, results, data.given)
     joints = data.joints[fitted(finished)]
     travel = np.array([joints.min(axis=0), joints.max(axis=0)])
     np.testing.assert_allclose(known.joint_range, travel, atol=1e-9)

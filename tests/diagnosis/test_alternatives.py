@@ -20,8 +20,7 @@ from calflow.diagnosis.verdict import (
 from calflow.effects.cause import Cause
 from calflow.effects.wording import UNEXPLAINED
 from calflow.estimation.calibrated_model import Alternative, choice_errors, points_at
-from calflow.estimation.model_tables import AlternativeParameter, _alternatives, alternatives_table
-from calflow.files.tables import from_frame
+from calflow.estimation.model_tables import _alternative, alternative_models
 from diagnosis.found import cause, hidden, start
 from diagnosis.test_verdict import score
 
@@ -105,8 +104,7 @@ def test_they_are_read_as_they_were_written(final, used):
     doubtful = judged(ratio(1.0), Rival(UNEXPLAINED, 0, 1.0, None))
     found = fitted_alternatives([doubtful], final) if used else fitted_alternatives([], final, [doubtful])
     model = final.model if used else replace(final.model, effects=final.plain)
-    rows = from_frame(alternatives_table(found, model), AlternativeParameter)
-    again = _alternatives(rows, model)
+    again = [_alternative(stated, model) for stated in alternative_models(found, model)]
     for one, other in zip(found, again, strict=True):
         assert other.model.effects == one.model.effects
         assert (other.gone, other.rival) == (one.gone, one.rival)
@@ -120,7 +118,8 @@ def test_they_are_read_by_name(final):
     model = final.with_causes([found_first, ECCENTRIC, found_last])
     verdicts = [replace(judged(), cause=one) for one in (found_last, found_first)]
     (said,) = fitted_alternatives([*verdicts, judged(ratio(1.0))], model)
-    (read,) = _alternatives(from_frame(alternatives_table([said], model.model), AlternativeParameter), model.model)
+    (stated,) = alternative_models([said], model.model)
+    read = _alternative(stated, model.model)
     rows = model.data.conditions
     assert read.model.point(read.estimate, rows) == pytest.approx(said.model.point(said.estimate, rows), abs=1e-12)
 

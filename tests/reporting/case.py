@@ -23,7 +23,7 @@ from calflow.effects.wording import NamedCause
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.certainty import Certainty
 from calflow.estimation.error_model import ErrorModel, error_table
-from calflow.estimation.model_tables import AlternativeParameter, FitSummary, calibrated, effect_table, identified
+from calflow.estimation.model_tables import FitSummary, calibrated, effect_table
 from calflow.files.tables import Results, to_document, to_frame
 from calflow.model import Model, build
 from calflow.reporting.material import Material
@@ -172,7 +172,7 @@ def with_diagnosis(given: Context, *found: Found, poses: int = 5) -> Context:
     """The context with tables as the stage diagnose makes them; poses are proposed to tell the first rival."""
     study, tables = given.study, given.tables
     data = study.measurements()
-    known = identified(study.robot, given.results, data.given)
+    known = calibrated(study.robot, given.results.of({"identify"}), data.given)
     told = [one for one in found if one.status in ("named", "one_of")]
     robot = known.model.robot
     parts = [f"joint{one.joint}" if one.joint else "device" for one in told]
@@ -209,7 +209,6 @@ def with_diagnosis(given: Context, *found: Found, poses: int = 5) -> Context:
     made = {
         "findings": _findings(found),
         "candidates": _candidates(told),
-        "alternatives": to_frame((), AlternativeParameter),
         "accuracy": _steps(given.results.rows("identify/accuracy.csv", Accuracy), told, parts),
         "next_poses": _poses([one for one in told if one.rivals], poses),
         "separations": _separations(told, poses),

@@ -20,14 +20,7 @@ from calflow.estimation.error_model import SmoothAmplitude
 from calflow.estimation.identifiability import Correlation, Counted, Redundant, Statement
 from calflow.estimation.lack_of_fit import NoiseDoubt
 from calflow.estimation.leverage import JudgedResidual
-from calflow.estimation.model_tables import (
-    AlternativeParameter,
-    FitSummary,
-    IdentifySummary,
-    ModelEffect,
-    ModelObservation,
-    Placed,
-)
+from calflow.estimation.model_tables import FitSummary, IdentifySummary, ModelEffect, ModelObservation, Placed
 from calflow.estimation.needed_conditions import NeededCondition
 from calflow.estimation.parameters import Covariances, FittedParameter
 from calflow.estimation.residual_field import POSES, FieldAccuracy, FieldPose
@@ -195,7 +188,6 @@ _NAMED: Mapping[str, type] = {
     "needed_conditions.csv": NeededCondition,
     FIGURES: AloneParameter,
     "identify/observations.csv": ModelObservation,
-    "diagnose/alternatives.csv": AlternativeParameter,
     "diagnose/faults.csv": FaultyRow,
     "diagnose/confirmation.csv": ConfirmedCause,
     "diagnose/confirmation_curves.csv": ConfirmedPoint,

@@ -32,10 +32,10 @@ from calflow.diagnosis.verdict import (
 )
 from calflow.effects.cause import Cause
 from calflow.estimation.accuracy import Accuracy, accuracy, leading_errors
-from calflow.estimation.calibrated_model import Alternative, CalibratedModel, SeriesNoise, series_noise
+from calflow.estimation.calibrated_model import Alternative, CalibratedModel, series_noise
 from calflow.estimation.fit import Fit
 from calflow.estimation.leverage import UNSURE
-from calflow.estimation.model_tables import FitSummary, fit_figures
+from calflow.estimation.model_tables import FitSummary, alternative_models, fit_figures
 from calflow.estimation.needed_conditions import needed_conditions
 from calflow.estimation.noise import Noise, averaged, repeats_scatter
 from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
@@ -183,10 +183,8 @@ def accuracy_table(diagnosis: Diagnosis, data: Measurements, before: Sequence[Ac
     return to_frame(rows, Accuracy)
 
 
-def diagnosis_summary(
-    diagnosis: Diagnosis, calibrated: CalibratedModel, devices: tuple[SeriesNoise, ...]
-) -> DiagnosisSummary:
-    """Return the figures of `diagnose/summary.json`, given the identified model and the noise of the extended one's series."""
+def diagnosis_summary(diagnosis: Diagnosis, calibrated: CalibratedModel, extended: CalibratedModel) -> DiagnosisSummary:
+    """Return the figures of `diagnose/summary.json`, given the identified model and the extended one (see `extended_model`)."""
     final, first = diagnosis.final or diagnosis.extended, diagnosis.start
     sigma = diagnosis.growth.floor if diagnosis.growth else calibrated.device[0].sigma
     if final.noise.sources[0] == "estimated" and not diagnosis.growth:
@@ -196,13 +194,14 @@ def diagnosis_summary(
         **fit_figures(
             final.fit,
             final.noise,
-            devices,
+            extended.device,
             final.lack,
             final.left_out.at_new_poses,
             diagnosis.upper_limit,
             final.errors,
         ),
         intraclass=final.intraclass,
+        alternatives=alternative_models(extended.alternatives, extended.model),
         reduced_chi2_before=first.lack.reduced_chi2 if first.noise.known else None,
         causes_tested=len({score.cause.place for score in diagnosis.first.scores}),
         tests=diagnosis.first.family.places,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,6 @@ from calflow.estimation.needed_conditions import NeededCondition
 from calflow.estimation.noise import Noise, PerUnit, Source
 from calflow.estimation.parameters import FittedParameter, covariance_table
 from calflow.estimation.registration import about_places
-from calflow.estimation.residual_field import SUMMARY as FIELD
 from calflow.estimation.residual_field import read_field
 from calflow.estimation.smooth_functions import SmoothFunction
 from calflow.files.deferred import pd
@@ -45,26 +43,22 @@ FUNCTIONS = {kind.__name__: kind for kind in subclasses(SmoothFunction)}  # by t
 
 
 @dataclass(frozen=True, kw_only=True)
-class AlternativeParameter:
-    """A parameter of an alternative model that explains the data about as well: one cause is replaced, added or left out."""
-
-    alternative: int = column("number of the model")
-    probability: float = column("posterior probability of the model")
-    instead_of: int = column("number of the cause in effects.csv that the model lacks, from 1 in their order; 0: none")
-    effect: str = column("id of the rival that replaces it, or is added; empty: none")
-    part: str = column("the part of the robot that the rival is a cause of")
-    variant: str = column("the figures of its variant, as JSON")
-    parameter: str = column("the parameter's name")
-    estimate: float = column("the fitted value, in the parameter's SI unit")
-
-
-@dataclass(frozen=True, kw_only=True)
 class ModelEffect:
     """An effect of the model, in its order."""
 
     effect: str = column("its id")
     part: str = column("the part of the robot that it is a cause of; empty: all")
     variant: str = column("the figures of its variant, as JSON")
+
+
+@dataclass(frozen=True, kw_only=True)
+class AlternativeModel:
+    """Another model that explains the data about as well: one cause is replaced, added or left out."""
+
+    probability: float = column("its posterior probability")
+    instead_of: int = column("number of the cause in effects.csv that it lacks, from 1 in their order; 0: none")
+    rival: ModelEffect | None = column("the cause that replaces it, or is added; null: none")
+    estimates: dict[str, float] = column("the fitted values by parameter, in SI units")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,6 +129,10 @@ class FitSummary:
         "standard deviation of position errors, per axis, beyond the parameters' errors, smooth errors (see errors.csv) and the "
         "device's noise, which is included if estimated from the fit; without smooth errors by leave-one-pose-out errors",
         "mm",
+    )
+    alternatives: tuple[AlternativeModel, ...] = column(
+        "other models that explain the data about as well: probability, the cause that each lacks, its rival, estimates",
+        default=(),
     )
     noise: tuple[SeriesNoise, ...] = column(
         "noise of each series, in SI units or px: sigma of a row per axis (at zero range), typical over the rows, growth with "
@@ -260,29 +258,26 @@ def model_tables(stage: str, calibrated: CalibratedModel) -> dict[str, pd.DataFr
     return {f"{stage}/{name}.csv": table for name, table in tables.items()}
 
 
-def alternatives_table(alternatives: Sequence[Alternative], model: Model) -> pd.DataFrame:
-    """Return the table of `AlternativeParameter`s of the alternatives to a model."""
-    rows = [
-        AlternativeParameter(
-            alternative=number, probability=other.probability,
-            instead_of=model.causes.index(other.gone) + 1 if other.gone else 0,
-            effect=other.rival.effect.id if other.rival else "", part=other.rival.part if other.rival else "",
-            variant=other.rival.effect.figures_text if other.rival else "",
-            parameter=parameter.name, estimate=float(estimate),
+def alternative_models(alternatives: Sequence[Alternative], model: Model) -> tuple[AlternativeModel, ...]:
+    """Return the alternatives to a model as its summary holds them."""
+    return tuple(
+        AlternativeModel(
+            probability=other.probability, instead_of=model.causes.index(other.gone) + 1 if other.gone else 0,
+            rival=_model_effect(other.rival) if other.rival else None,
+            estimates=dict(zip((p.name for p in other.model.parameters), other.estimate.tolist(), strict=True)),
         )
-        for number, other in enumerate(alternatives, start=1)
-        for parameter, estimate in zip(other.model.parameters, other.estimate, strict=True)
-    ]  # fmt: skip
-    return to_frame(rows, AlternativeParameter)
+        for other in alternatives
+    )  # fmt: skip
 
 
 def effect_table(effects: Sequence[Effect]) -> pd.DataFrame:
     """Return the table of `ModelEffect`s."""
-    rows = []
-    for effect in effects:
-        whole, part = (effect.effect, effect.part) if isinstance(effect, Cause) else (effect, "")
-        rows.append(ModelEffect(effect=whole.id, part=part, variant=whole.figures_text))
-    return to_frame(rows, ModelEffect)
+    return to_frame(map(_model_effect, effects), ModelEffect)
+
+
+def _model_effect(effect: Effect) -> ModelEffect:
+    whole, part = (effect.effect, effect.part) if isinstance(effect, Cause) else (effect, "")
+    return ModelEffect(effect=whole.id, part=part, variant=whole.figures_text)
 
 
 def observation_table(observed: Sequence[Observation]) -> pd.DataFrame:
@@ -320,22 +315,12 @@ def _placed(what: str, place: Vector, turn: Vector, kind: str, source: str) -> P
     return Placed(what=what, kind=kind, source=source, **dict(zip(figures, (*place, *degrees, *turn), strict=True)))
 
 
-def identified(robot: Robot, results: Results, given: tuple[str, ...]) -> CalibratedModel:
-    """Return the model that identify fitted, for rows with the given optional conditions."""
-    return _read("identify", robot, results, given)
-
-
 def calibrated(robot: Robot, results: Results, given: tuple[str, ...]) -> CalibratedModel:
-    """Return the model that diagnose extended, else identify's, with the residual field if there is one."""
-    field = read_field(results, robot) if FIELD in results else None
-    if "diagnose/effects.csv" not in results:
-        return replace(identified(robot, results, given), field=field)
-    model = _read("diagnose", robot, results, given)
-    alternatives = _alternatives(results.rows("diagnose/alternatives.csv", AlternativeParameter), model.model)
-    return replace(model, alternatives=alternatives, field=field)
+    """Return the model that diagnose extended, else identify's, with the residual field if there is one.
 
-
-def _read(stage: str, robot: Robot, results: Results, given: tuple[str, ...]) -> CalibratedModel:
+    given: the optional conditions of its rows.
+    """
+    stage = "diagnose" if "diagnose/effects.csv" in results else "identify"
     robot = placed(robot, results)
     observed = read_observations(results.rows("identify/observations.csv", ModelObservation))
     effects = read_effects(results.rows(f"{stage}/effects.csv", ModelEffect), robot)
@@ -367,13 +352,15 @@ def _read(stage: str, robot: Robot, results: Results, given: tuple[str, ...]) ->
         time_origin=time_origin,
         payloads=used.payloads,
         joint_range=np.array([used.joints_low, used.joints_high]) if used.joints_low else None,
+        alternatives=tuple(_alternative(stated, model) for stated in summary.alternatives),
+        field=read_field(results, robot),
     )
 
 
-def read_effects(rows: Sequence[ModelEffect | AlternativeParameter], robot: Robot) -> tuple[Effect, ...]:
-    """Return the effects that rows name; a row may name none."""
+def read_effects(rows: Sequence[ModelEffect], robot: Robot) -> tuple[Effect, ...]:
+    """Return the effects that rows name."""
     effects: list[Effect] = []
-    for row in (row for row in rows if row.effect):
+    for row in rows:
         whole = _kind(row.effect).of_figures(robot, row.variant)
         effects.append(Cause(robot, whole, row.part) if row.part else whole)
     return tuple(effects)
@@ -384,20 +371,14 @@ def read_observations(rows: Sequence[ModelObservation]) -> tuple[Observation, ..
     return tuple(adapter(observation_kinds()[row.kind]).validate_json(row.observation) for row in rows)
 
 
-def _alternatives(rows: Sequence[AlternativeParameter], model: Model) -> tuple[Alternative, ...]:
-    alternatives = []
-    for _, group in groupby(rows, key=lambda row: row.alternative):
-        rows_of = list(group)
-        first = rows_of[0]
-        gone = model.causes[first.instead_of - 1] if first.instead_of else None
-        come = [effect for effect in read_effects([first], model.robot) if isinstance(effect, Cause)]
-        effects = (*(effect for effect in model.effects if effect != gone), *come)
-        other = replace(model, effects=effects)
-        # Rows are in the order of the findings, which is not the model's.
-        stated = {row.parameter: row.estimate for row in rows_of}
-        estimate = np.array([stated[parameter.name] for parameter in other.parameters])
-        alternatives.append(Alternative(other, estimate, first.probability, gone, next(iter(come), None)))
-    return tuple(alternatives)
+def _alternative(stated: AlternativeModel, model: Model) -> Alternative:
+    gone = model.causes[stated.instead_of - 1] if stated.instead_of else None
+    rivals = read_effects([stated.rival] if stated.rival else [], model.robot)
+    come = [effect for effect in rivals if isinstance(effect, Cause)]
+    other = replace(model, effects=(*(effect for effect in model.effects if effect != gone), *come))
+    # Estimates are in the order of the findings, which is not the model's.
+    estimate = np.array([stated.estimates[parameter.name] for parameter in other.parameters])
+    return Alternative(other, estimate, stated.probability, gone, next(iter(come), None))
 
 
 def placed(robot: Robot, results: Results) -> Robot:
