@@ -73,17 +73,12 @@ class FieldGain:
         return self.p < FALSE_GAIN
 
     @property
-    def rms_mm(self) -> tuple[float, float]:
-        """Root mean square errors [mm] without the field, and corrected by it."""
-        (_, before, _), (_, after, _) = (mean_rms_max(1e3 * each) for each in (self.without, self.corrected))
-        return before, after
-
-    @property
     def statement(self) -> str:
         """The result in a sentence."""
         if not self.blocks:
             return f"residual field ({NOT_PHYSICAL}) not applied: {plural(self.poses, 'pose')} with positions, too few for it"
-        were = "the root mean square goes from {:.3f} mm to {:.3f} mm".format(*self.rms_mm)
+        before, after = (mean_rms_max(1e3 * each)[1] for each in (self.without, self.corrected))
+        were = f"the root mean square goes from {before:.3f} mm to {after:.3f} mm"
         if not self.gains:
             return (
                 f"residual field ({NOT_PHYSICAL}) not applied: it gains nothing beyond chance at training poses left out of it "
@@ -165,11 +160,9 @@ def field_results(
 
 def field_summary(field: ResidualField | None, gain: FieldGain) -> FieldSummary:
     """Return the hyperparameters of a field, and its gain."""
-    before, after = gain.rms_mm if gain.blocks else (None, None)
     return FieldSummary(
         kind="not physical", applied=field is not None, statement=gain.statement, poses=gain.poses, blocks=gain.blocks,
-        rms_without_mm=before, rms_corrected_mm=after,
-        p=gain.p, covered=gain.covered,
+        p=gain.p,
         size_mm=1e3 * field.size if field else None, rest_mm=1e3 * field.rest if field else None,
         own_mm=1e3 * field.own if field else None, lengths=tuple(map(float, field.length)) if field else (),
     )  # fmt: skip
