@@ -110,7 +110,7 @@ def true_structure(study: Study, h: Hidden, results: Results) -> Fitted:
     screened = Screened(tuple(first.scores), Family({}, 1.0), first.degrees_of_freedom)
     trial = FittedTrial(screened, start, catalogue)
     listed = next(score for score in first.scores if score.cause.joint == h.joint)
-    best = trial.finest(listed.cause, trial.causes) or listed
+    best = trial.finest(listed)
     point = np.concatenate([start.fit.estimate, best.estimate])
     return start.with_causes([best.cause], point, best.share)
 

@@ -29,7 +29,7 @@ from calflow.diagnosis import FALSE_ALARM
 from calflow.diagnosis.extension import FittedTrial, extend
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import Catalogue
-from calflow.diagnosis.stepwise import SHARES, CauseAcceptance
+from calflow.diagnosis.stepwise import SHARES, CauseAcceptance, Stepwise
 from calflow.diagnosis.trial import Linearisation
 from calflow.diagnosis.verdict import ModelInReach, models_in_reach, probabilities, rivals_shown
 from calflow.effects.cause import Cause
@@ -40,6 +40,7 @@ from calflow.estimation.calibrated_model import CalibratedModel, series_noise
 from calflow.estimation.fit import fit
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import averaged
+from calflow.estimation.progress import nobody
 from calflow.estimation.variance_components import LOG_PRIOR, SIZES
 from calflow.measurements.measurements import Measurements
 from calflow.sampling.log_posterior import log_posterior_of
@@ -108,7 +109,7 @@ def diagnosed(
     data = case.data.on(case.known.model.robot)
     catalogue = Catalogue((NonlinearJointStiffness(data.robot), LinkTorsion(data.robot)), {})
     start = Fitted.of(case.known, *averaged(data, case.known.noise(data)))
-    found = extend(start, catalogue, CauseAcceptance(SHARES["causes"] * FALSE_ALARM, 10), rng, lambda line: None)
+    found = extend(start, catalogue, Stepwise(CauseAcceptance(SHARES["causes"] * FALSE_ALARM, 10), rng, nobody, nobody))
     final = found.fitted
     beside = Linearisation.at(final, catalogue.effects).beside.scores
     reached = models_in_reach(final, found.findings, beside, catalogue)

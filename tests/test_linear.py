@@ -17,8 +17,9 @@ from scipy.stats import binom
 
 from calflow.diagnosis.extension import extend
 from calflow.diagnosis.screening import Catalogue
-from calflow.diagnosis.stepwise import CauseAcceptance
+from calflow.diagnosis.stepwise import CauseAcceptance, Stepwise
 from calflow.diagnosis.trial import Linearisation
+from calflow.estimation.progress import nobody
 from calflow.files.problems import InputError
 from calflow.linear import Block, LinearProblem, diagnose_linear
 from diagnosis.found import cause, hidden, start
@@ -249,7 +250,7 @@ def test_a_robot_is_told_the_same_at_its_first_step():
     begun = start(data)
     catalogue = Catalogue.of(data, ("geometry",), ("joint-eccentricity", "gear-ratio-error", "joint-compliance"))
     looked = Linearisation.at(begun, catalogue.effects)
-    known = extend(begun, catalogue, CauseAcceptance(0.01, 1), np.random.default_rng(1), lambda _: None)
+    known = extend(begun, catalogue, Stepwise(CauseAcceptance(0.01, 1), np.random.default_rng(1), nobody, nobody))
     (score,) = (one for one in known.first.scores if one.cause == soft)
     r = looked.regressors
     blocks = [

@@ -29,6 +29,11 @@ TESTED = ("joint-eccentricity", "gear-ratio-error", "joint-compliance", "base-co
 GATE = CauseAcceptance(0.01, 4)
 
 
+def search(gate=GATE):
+    """A search that says nothing."""
+    return Stepwise(gate, np.random.default_rng(1), nobody, nobody)
+
+
 @pytest.fixture(scope="module")
 def data():
     """Poses of a robot with a soft joint 2, and a joint 1 that runs out of true."""
@@ -39,14 +44,7 @@ def data():
 def test_both_causes_are_added_and_nothing_else(data):
     """Breaks if the extension stops early, goes on with noise, or its models on the way are not those of its findings."""
     shares = []
-    extended = extend(
-        start(data),
-        Catalogue.of(data, ("geometry",), TESTED),
-        GATE,
-        np.random.default_rng(1),
-        lambda _: None,
-        shares.append,
-    )
+    extended = extend(start(data), Catalogue.of(data, ("geometry",), TESTED), replace(search(), advance=shares.append))
     assert len(shares) >= 2  # a step a cause
     assert shares == sorted(set(shares))
     assert 0 < shares[0] < shares[-1] < 1
@@ -89,9 +87,7 @@ def test_series_of_two_devices_make_a_cause_no_dearer():
 def test_noise_alone_extends_nothing():
     """Breaks if something is added where nothing is hidden."""
     data = hidden([])
-    extended = extend(
-        start(data), Catalogue.of(data, ("geometry",), TESTED), GATE, np.random.default_rng(1), lambda _: None
-    )
+    extended = extend(start(data), Catalogue.of(data, ("geometry",), TESTED), search())
     assert extended.findings == ()
 
 
@@ -118,7 +114,7 @@ def test_a_knee_is_refined_until_one_cause_explains_all():
     soft = cause("joint-compliance", "joint2")
     data = hidden([(soft, (1.5e-6,)), (knee, (6e-3,))], poses=120)
     listed = Catalogue.of(data, ("geometry",), ("joint-compliance", "nonlinear-joint-stiffness"))
-    extended = extend(start(data), listed, GATE, np.random.default_rng(1), lambda _: None)
+    extended = extend(start(data), listed, search())
     assert {finding.cause.place for finding in extended.findings} == {soft.place, knee.place}
     found = next(finding.cause for finding in extended.findings if finding.cause.place == knee.place)
     assert found.effect.knee == pytest.approx(0.29, abs=0.01)
@@ -129,9 +125,7 @@ def test_a_gross_mistake_is_found_and_split_between_no_two_forms():
     """Breaks if what is left hides a cause far beyond usual sizes, or two forms of it share it to please the priors."""
     wrong = cause("gear-ratio-error", "joint2")
     data = hidden([(wrong, (0.03,))])
-    extended = extend(
-        start(data), Catalogue.of(data, ("geometry",), TESTED), GATE, np.random.default_rng(1), lambda _: None
-    )
+    extended = extend(start(data), Catalogue.of(data, ("geometry",), TESTED), search())
     assert [finding.cause.place for finding in extended.findings] == [wrong.place]
     assert extended.fitted.fit.estimate[-1] == pytest.approx(0.03, rel=1e-3)
 
@@ -143,9 +137,7 @@ def test_orders_of_one_joint_may_act_together():
     assert not first.effect.same_as(second.effect)
     assert first.effect.same_as(near.effect)
     data = hidden([(first, (2e-4, 1e-4)), (second, (-2e-4, 1e-4))])
-    extended = extend(
-        start(data), Catalogue.of(data, ("geometry",), TESTED), GATE, np.random.default_rng(1), lambda _: None
-    )
+    extended = extend(start(data), Catalogue.of(data, ("geometry",), TESTED), search())
     assert [finding.cause.place for finding in extended.findings] == [first.place] * 2
     orders = sorted(finding.cause.effect.order for finding in extended.findings)
     assert orders == pytest.approx([4.0, 9.0], abs=0.1)
@@ -181,27 +173,21 @@ def test_a_search_begins_once_from_each_set_of_causes(monkeypatch, data, found):
 
     Every cause gives way here; the search finds one of them again, or both. What has given way is not named.
     """
-    extended = extend(
-        start(data), Catalogue.of(data, ("geometry",), TESTED), GATE, np.random.default_rng(1), lambda _: None
-    )
+    extended = extend(start(data), Catalogue.of(data, ("geometry",), TESTED), search())
     causes, searches = extended.causes[:found], []
     again = extended.with_causes(causes)
     monkeypatch.setattr(extension_module, "_weakest", lambda fitted, *more: next(iter(fitted.causes), None))
     monkeypatch.setattr(extension_module, "_searched", lambda _, beside, *more: searches.append(beside.causes) or again)
     catalogue_ = Catalogue.of(data, ("geometry",), TESTED)
     basis = BackgroundBasis.of(start(data))
-    last, findings = weighed(
-        start(data), extended, basis, catalogue_, Stepwise(GATE, np.random.default_rng(1), nobody, nobody)
-    )
+    last, findings = weighed(start(data), extended, basis, catalogue_, search())
     assert searches == [()]
     assert last.causes == findings == ()
 
 
 def test_a_search_that_finds_nothing_that_stays_is_not_repeated(monkeypatch, data):
     """Fails if a cause that a search drops makes it begin again, though all that it found gives way to a background."""
-    found = extend(
-        start(data), Catalogue.of(data, ("geometry",), TESTED), GATE, np.random.default_rng(1), lambda _: None
-    )
+    found = extend(start(data), Catalogue.of(data, ("geometry",), TESTED), search())
     first, second = found.fitted.causes
     smooth, searches = cause("gear-ratio-error", "joint4"), []
     again = found.with_causes([first, smooth])
@@ -210,7 +196,7 @@ def test_a_search_that_finds_nothing_that_stays_is_not_repeated(monkeypatch, dat
     monkeypatch.setattr(extension_module, "_searched", lambda _, beside, *more: searches.append(beside.causes) or again)
     catalogue_ = Catalogue.of(data, ("geometry",), TESTED)
     basis = BackgroundBasis.of(start(data))
-    last, _ = weighed(start(data), found, basis, catalogue_, Stepwise(GATE, np.random.default_rng(1), nobody, nobody))
+    last, _ = weighed(start(data), found, basis, catalogue_, search())
     assert searches == [(first, second)]
     assert last.causes == (first,)
 
@@ -218,7 +204,7 @@ def test_a_search_that_finds_nothing_that_stays_is_not_repeated(monkeypatch, dat
 def test_a_cause_that_hardly_shows_at_last_is_left_out(monkeypatch, data):
     """Fails if what the data no longer tell from the rest, once all else is in the model, stays in it or ends the diagnosis."""
     catalogue_ = Catalogue.of(data, ("geometry",), TESTED)
-    found = extend(start(data), catalogue_, GATE, np.random.default_rng(1), lambda _: None)
+    found = extend(start(data), catalogue_, search())
     monkeypatch.setattr(extension_module, "_weakest", lambda *_: None)
     monkeypatch.setattr(extension_module, "_named_instead", lambda *_: None)
 
@@ -228,8 +214,8 @@ def test_a_cause_that_hardly_shows_at_last_is_left_out(monkeypatch, data):
 
     monkeypatch.setattr(extension_module, "_searched", hiding)
     said = list[str]()
-    search = Stepwise(GATE, np.random.default_rng(1), said.append, nobody)
-    last, findings = weighed(start(data), found, BackgroundBasis.of(start(data)), catalogue_, search)
+    told = replace(search(), say=said.append)
+    last, findings = weighed(start(data), found, BackgroundBasis.of(start(data)), catalogue_, told)
     assert found.causes
     assert last.causes == findings == ()
     assert sum("hardly shows" in line for line in said) == len(found.causes)
@@ -248,9 +234,9 @@ def test_a_device_that_was_set_up_anew_does_not_give_way_to_an_error_in_time():
     """Fails if what nobody can name in time, which is an error of the device itself, takes the place of its name."""
     begun = fitted(set_up_anew, poses=150)
     tested = Catalogue.of(begun.data, ("geometry",), ("gear-ratio-error", "session-frame"))
-    extended = extend(begun, tested, GATE, np.random.default_rng(1), lambda _: None)
+    extended = extend(begun, tested, search())
     basis = BackgroundBasis.of(begun)
-    last, _ = weighed(begun, extended, basis, tested, Stepwise(GATE, np.random.default_rng(1), nobody, nobody))
+    last, _ = weighed(begun, extended, basis, tested, search())
     assert extended.causes == ()
     assert [found.id for found in last.causes] == ["session-frame"]
 
@@ -262,16 +248,16 @@ def test_a_device_that_was_set_up_anew_is_no_cause_too_many():
         Catalogue.of(begun.data, ("geometry",), ("gear-ratio-error", "session-frame")),
         CauseAcceptance(0.01, 0),
     )
-    extended = extend(begun, tested, none, np.random.default_rng(1), lambda _: None)
+    extended = extend(begun, tested, search(none))
     basis = BackgroundBasis.of(begun)
-    last, findings = weighed(begun, extended, basis, tested, Stepwise(none, np.random.default_rng(1), nobody, nobody))
+    last, findings = weighed(begun, extended, basis, tested, search(none))
     assert last.causes == findings == ()
 
 
 def test_a_wider_catalogue_keeps_what_was_weighed(data):
     """Fails if candidates that were left out of the search come at the price of what a background and poses left out told."""
     narrow, wide = (Catalogue.of(data, ("geometry",), TESTED[:more]) for more in (3, 5))
-    extended = extend(start(data), narrow, GATE, np.random.default_rng(1), lambda _: None)
+    extended = extend(start(data), narrow, search())
     told = tuple(replace(finding, unnamed=9.0, carries_over=True) for finding in extended.weighed_findings)
     wider = weighed_against(told, replace(extended, catalogue=wide))
     assert [(finding.cause, finding.unnamed, finding.carries_over) for finding in wider] == [

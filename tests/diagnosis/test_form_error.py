@@ -11,8 +11,9 @@ from calflow.diagnosis.background import BackgroundBasis, uneven_or_other_forms
 from calflow.diagnosis.extension import extend, unnamed
 from calflow.diagnosis.form_error import variations
 from calflow.diagnosis.screening import Catalogue
-from calflow.diagnosis.stepwise import CauseAcceptance
+from calflow.diagnosis.stepwise import CauseAcceptance, Stepwise
 from calflow.diagnosis.verdict import verdict
+from calflow.estimation.progress import nobody
 from diagnosis.found import cause, hidden, start
 
 HALF = 0.6  # rad: half of joint 2's travel
@@ -34,7 +35,7 @@ def found(data, size, cubic):
     catalogue = Catalogue(
         (cause("gear-ratio-error", "joint2").effect, cause("joint-eccentricity", "joint2", order=1).effect), {}
     )
-    ended = extend(start(data), catalogue, CauseAcceptance(0.01, 1), np.random.default_rng(1), lambda _: None)
+    ended = extend(start(data), catalogue, Stepwise(CauseAcceptance(0.01, 1), np.random.default_rng(1), nobody, nobody))
     return ended.weighed_findings[0], ended.findings[0]
 
 

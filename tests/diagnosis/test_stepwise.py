@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 
@@ -56,9 +56,9 @@ class Wandering(Trial[Block]):
         self.tried.append(self.step + 1)
         return replace(self, step=self.step + 1)
 
-    def refined(self) -> Iterator[Sequence[Block]]:
-        """Yield the causes of the next step."""
-        yield replace(self, step=self.step + 1).causes
+    def refined(self) -> Sequence[Block]:
+        """Return the causes of the next step."""
+        return replace(self, step=self.step + 1).causes
 
 
 def form(name: str, step: int) -> Block:

@@ -261,11 +261,10 @@ def search_causes(
     wanted = Catalogue.of(train, have, catalogue, leave_out)
     advance(BEGUN)
     acceptance = CauseAcceptance(SHARES["causes"] * false_alarm, causes)
-    searched = extend(
-        start, wanted, acceptance, rng("bootstrap"), say, lambda share: advance(BEGUN + share * (SEARCHED - BEGUN))
-    )
+    search = Stepwise(acceptance, rng("bootstrap"), say, lambda share: advance(BEGUN + share * (SEARCHED - BEGUN)))
+    searched = extend(start, wanted, search)
     basis, first = BackgroundBasis.of(start), searched.first
-    search = Stepwise(acceptance, rng("background"), say, nobody)
+    search = replace(search, rng=rng("background"), advance=nobody)
     extended, findings = weighed(start, searched, basis, wanted, search)
     advance(SEARCHED)
     standstills = Standstills.of(extended, basis)

@@ -10,11 +10,10 @@ left-out blocks of training poses (see `cross_validation`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain
-from typing import cast
 
 import numpy as np
 
@@ -33,11 +32,10 @@ from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.form_error import farthest, with_form_errors
 from calflow.diagnosis.regressors import Place
 from calflow.diagnosis.screening import Catalogue, Score, Screening, by_place
-from calflow.diagnosis.stepwise import REACH, SPLIT, CauseAcceptance, Stepwise, second_thoughts, words
+from calflow.diagnosis.stepwise import REACH, SPLIT, Stepwise, second_thoughts, words
 from calflow.diagnosis.trial import Detection, Linearisation, Trial, is_new
 from calflow.effects.cause import Cause
 from calflow.estimation.fit import Fit
-from calflow.estimation.progress import Advance, nobody
 from calflow.estimation.variance_components import refitted_cost, spent
 
 FINER_STEPS = 4  # refinements at most, of one inner unknown each
@@ -89,15 +87,15 @@ class FittedTrial(Trial[Cause]):
         start = np.concatenate([self.fitted.fit.estimate, added.estimate])
         return replace(self, fitted=self.fitted.with_causes(causes, start, added.explained))
 
-    def finest(self, cause: Cause, beside: Sequence[Cause]) -> Score[Cause] | None:
-        """Return the score of a cause's best form beside others, between its neighbours in the scan; None: the given form."""
-        if not (finer := self._finer(cause)):
-            return None
-        near = Linearisation.at(self.fitted, (cause, *finer)).forms(beside, cause.place)
-        return near[0] if near and near[0].cause != cause else None
+    def finest(self, score: Score[Cause]) -> Score[Cause]:
+        """Return the score of a candidate's best form beside the causes, between its neighbours in the scan."""
+        if not (finer := self._finer(score.cause)):
+            return score
+        near = Linearisation.at(self.fitted, (score.cause, *finer)).forms(self.causes, score.cause.place)
+        return near[0] if near and near[0].cause != score.cause else score
 
-    def refined(self) -> Iterator[list[Cause]]:
-        """Yield the causes with every variant refined that is clearly better beside the others.
+    def refined(self) -> list[Cause]:
+        """Return the causes with every variant refined that is clearly better beside the others.
 
         Each takes its best variant beside the present variants of the others, linear, without a refit.
         """
@@ -115,8 +113,7 @@ class FittedTrial(Trial[Cause]):
                     now[k] = near[0].cause
             if set(before) == set(now):
                 break
-        if set(now) != set(self.causes):
-            yield now
+        return now
 
     @cached_property
     def findings(self) -> tuple[Detection[Cause], ...]:
@@ -165,20 +162,10 @@ class FittedTrial(Trial[Cause]):
         return [replace(cause, effect=effect) for effect in cause.effect.finer(self.fitted.data)]
 
 
-def extend(
-    start: Fitted,
-    catalogue: Catalogue,
-    acceptance: CauseAcceptance,
-    rng: np.random.Generator,
-    say: Callable[[str], None],
-    advance: Advance = nobody,
-) -> FittedTrial:
-    """Return the model with the causes that it lacks, by a stepwise search (see `stepwise`) with independent errors.
-
-    say receives each step in words, advance the share of the search that is done, which never falls.
-    """
-    first = Linearisation.at(start, catalogue.effects).screened(rng)
-    return cast(FittedTrial, Stepwise(acceptance, rng, say, advance).best(FittedTrial(first, start, catalogue)))
+def extend(start: Fitted, catalogue: Catalogue, search: Stepwise) -> FittedTrial:
+    """Return the model with the causes that it lacks, by a stepwise search with independent errors."""
+    first = Linearisation.at(start, catalogue.effects).screened(search.rng)
+    return search.best(FittedTrial(first, start, catalogue))
 
 
 def weighed_against(findings: Sequence[Detection[Cause]], wider: FittedTrial) -> tuple[Detection[Cause], ...]:
@@ -304,7 +291,7 @@ def _named_instead(trial: FittedTrial, basis: BackgroundBasis, search: Stepwise)
         return None
     trial = replace(trial, fitted=replace(fitted, background=background(fitted, basis, others)))
     passed = search.acceptance.passing(trial.linearisation.beside.scores, trial.first.family)
-    return (trial.finest(passed[0].cause, trial.causes) or passed[0]).cause if passed else None
+    return trial.finest(passed[0]).cause if passed else None
 
 
 def _weakest(fitted: Fitted, basis: BackgroundBasis, variants: Mapping[Place, int]) -> Cause | None:
@@ -326,15 +313,15 @@ def _searched(begin: FittedTrial, beside: FittedTrial, search: Stepwise) -> Fitt
     if not beside.causes and begin.fitted.background is not None:
         now = begin.linearisation.screened(search.rng, begin.first.family)
         begin = replace(begin, first=replace(begin.first, scores=now.scores))
-    tried: list[Trial[Cause]] = [begin, beside] if beside.causes else [begin]
+    tried = [begin, beside] if beside.causes else [begin]
     best = _second_thought(search.settled(tried), tried, search)
     more = len(best.causes) - len(beside.causes)
     if beside.causes and more > 0 and best.cost > beside.cost - SPLIT * more and search.stands(beside):
         best = beside  # as in an exchange, more causes must be clearly better
-    return cast(FittedTrial, best)  # trials lead to trials of their own kind
+    return best
 
 
-def _second_thought(best: Trial[Cause], tried: list[Trial[Cause]], search: Stepwise) -> Trial[Cause]:
+def _second_thought(best: FittedTrial, tried: list[FittedTrial], search: Stepwise) -> FittedTrial:
     """Return the best model, or one with a rival in the place of a cause that the background explains nearly as well.
 
     The evidence of fits takes the background's variances as known; the comparison of rivals in a cause's place does not.

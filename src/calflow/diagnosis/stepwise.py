@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, combinations
-from typing import Any, Generic
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -37,6 +37,8 @@ CLEAR = 0.1  # share of the false-alarm rate below which the correction need not
 STEP_SHARE = 0.2  # progress of a step as a share of the remaining search, whose length is unknown
 MOST_TRIALS = 60  # models that are fitted in all: a search that needs more is cyclic
 ENTANGLED = 3  # causes, the last found, that are exchanged in pairs
+
+T = TypeVar("T", bound=Trial)
 
 
 def forget_all_but(best: Trial, tried: Sequence[Trial]) -> None:
@@ -131,7 +133,7 @@ class Stepwise:
     say: Callable[[str], None]
     advance: Callable[[float], None]
 
-    def best(self, *start: Trial[H]) -> Trial[H]:
+    def best(self, *start: T) -> T:
         """Return the best model, starting from the last of start, by steps and exchanges until nothing improves."""
         tried = list(start)
         best = self.settled(tried)
@@ -141,7 +143,7 @@ class Stepwise:
             self.say(f"the search ends after {MOST_TRIALS} models: there may be a better one")
         return best
 
-    def settled(self, tried: list[Trial[H]]) -> Trial[H]:
+    def settled(self, tried: list[T]) -> T:
         """Add, drop and replace causes while that improves the model; return the best model whose causes are all accepted.
 
         A step that proves worse than expected is undone, and not tried again: from a model at most one of each kind fails. The
@@ -164,7 +166,7 @@ class Stepwise:
         forget_all_but(best, tried)
         return best
 
-    def improved(self, best: Trial[H], tried: list[Trial[H]]) -> Trial[H] | None:
+    def improved(self, best: T, tried: list[T]) -> T | None:
         """Return a better model reached by a merger or an exchange, if there is one."""
         for step in _untried(chain(_within_reach(best, merged(best)), self.exchanges(best)), tried):
             tried.append(best.with_causes(step.causes, step.added))
@@ -218,7 +220,7 @@ class Stepwise:
         return True
 
     def _steps(self, trial: Trial[H]) -> Iterator[Proposal[H]]:
-        yield from (_replaced(trial, causes) for causes in trial.refined())
+        yield _replaced(trial, trial.refined())
         yield from sorted(chain(self._reformed(trial), self._added(trial)), key=lambda step: step.cost)
         yield _replaced(trial, second_thoughts(trial, self.acceptance))
 
@@ -247,7 +249,7 @@ class Stepwise:
             now = trial.linearisation.screened(self.rng)  # with the correction for this model's residual
             passed = self.acceptance.passing(now.scores, now.family)
         if passed:
-            best = trial.finest(passed[0].cause, trial.causes) or passed[0]
+            best = trial.finest(passed[0])
             message = f"{words(best.cause)}: chi2 falls by {best.drop:.4g}, p = {now.family.p(best):.2g}"
             yield Proposal([*trial.causes, best.cause], message, best, best.cost)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Generic, Self
@@ -173,13 +173,13 @@ class Trial(ABC, Generic[H]):
     def with_causes(self, causes: Sequence[H], added: Score[H] | None = None) -> Self:
         """Return the model fitted with these causes instead; added is the score of the last one, if it is new."""
 
-    def finest(self, cause: H, beside: Sequence[H]) -> Score[H] | None:
-        """Return the score of a cause's best form beside others, once refined; None: the given form."""
-        return None
+    def finest(self, score: Score[H]) -> Score[H]:
+        """Return the score of a candidate's best form beside the causes, once refined."""
+        return score
 
-    def refined(self) -> Iterator[list[H]]:
-        """Yield the causes in forms that are clearly better beside the other causes of the model."""
-        yield from ()
+    def refined(self) -> list[H]:
+        """Return the causes in forms that are clearly better beside the other causes of the model."""
+        return list(self.causes)
 
     @cached_property
     def findings(self) -> tuple[Detection[H], ...]:
