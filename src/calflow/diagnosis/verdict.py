@@ -106,40 +106,36 @@ class Verdict(Detection[H]):
 def verdict(finding: Detection[H], untestable: Mapping[str, str] = MappingProxyType({})) -> Verdict[H]:
     """Return the verdict on a finding, from the evidence of all rivals in its place, variants of each taken together.
 
-    untestable holds ids of possible causes that could not be tested, with what a test would take: each as likely as the finding.
+    untestable holds ids of possible causes that could not be tested, with what a test would take.
     """
-    cause = finding.cause
-    elsewhere = [(cost - finding.cost, best) for place, (cost, best) in finding.places.items() if place != cause.place]
-    rivals = [Rival(best.cause.id, best.cause.joint, cost, best) for cost, best in elsewhere if cost < WITHIN]
-    untested = _untested(finding, untestable)
+    own, against, others = finding.cause.place, TEMPERED * finding.unnamed, _in_its_place(finding, untestable)
+    near = [(cost - finding.cost, best) for place, (cost, best) in finding.places.items() if place != own]
+    rivals = [Rival(best.cause.id, best.cause.joint, cost, best) for cost, best in near if cost < WITHIN]
+    untested = (other for other, _ in others if isinstance(other, Untested))
     rivals += [Rival(other.id, other.joint, 0.0, None, untestable.get(other.id, "")) for other in untested]
-    against = TEMPERED * finding.unnamed
     if against < WITHIN:
         rivals.append(Rival(UNEXPLAINED, 0, against, None))
-    others = [-cost / 2 for cost, _ in elsewhere]
-    others += [0.0] * len(untested) + [_log_odds_of_nothing(finding)]
-    probability = 1 / (1 + float(np.exp(others).sum()))
+    odds = [log_odds for other, log_odds in others if other is None or other.place != own]
+    probability = 1 / (1 + float(np.exp(odds).sum()))
     ordered = tuple(sorted(rivals, key=lambda rival: rival.cost))
     found = {field.name: getattr(finding, field.name) for field in fields(Detection)}
     return Verdict(**found, status="one_of" if ordered else "named", probability=probability, rivals=ordered)
 
 
-def _untested(finding: Detection, untestable: Collection[str]) -> list[Untested]:
-    """Return the causes that may be the one found, but could not be tested: alike by nature, or for want of data (ids)."""
-    cause = finding.cause
-    tested = {(score.cause.id, score.cause.joint) for score in finding.scores}
-    others = dict.fromkeys([*cause.alike, *untestable])
-    return [Untested(other, cause.joint, cause.part) for other in others if (other, cause.joint) not in tested]
+def _in_its_place(finding: Detection[H], untestable: Collection[str]) -> list[tuple[H | Untested | None, float]]:
+    """Return what may be in a finding's place, with its log odds against that: each candidate but the form found, what could not be
+    tested, alike by nature or for want of data (ids) and as likely as the finding, and none (None, the last).
 
-
-def _log_odds_of_nothing(finding: Detection) -> float:
-    """Return the log odds that no cause acts there, against the finding's place.
-
-    Either nothing acts, a priori as probable as all places together, or an unnamed error, which never counts more than the
-    finding.
+    None is nothing, a priori as probable as all places together, or an unnamed error, which never counts more than the finding.
     """
-    nothing = finding.cost / 2 + np.log(len(finding.places))
-    return float(np.logaddexp(nothing, -max(TEMPERED * finding.unnamed, 0.0) / 2))
+    cause, tested = finding.cause, {(score.cause.id, score.cause.joint) for score in finding.scores}
+    others = [other for other in dict.fromkeys([*cause.alike, *untestable]) if (other, cause.joint) not in tested]
+    unnamed = -max(TEMPERED * finding.unnamed, 0.0) / 2
+    return [
+        *((score.cause, (finding.cost - score.cost) / 2) for score in finding.scores if score.cause != cause),
+        *((Untested(other, cause.joint, cause.part), 0.0) for other in others),
+        (None, float(np.logaddexp(finding.cost / 2 + np.log(len(finding.places)), unnamed))),
+    ]
 
 
 def named(cause: Hypothesis | Rival) -> NamedCause:
@@ -267,7 +263,11 @@ def models_in_reach(
     models = [ModelInReach(final.causes, "found", log_prior(final.causes), 0.0)]
     # The prior of a form is in the evidence already, that of a place is not.
     besides: Others = [(score.cause, -score.cost / 2 - places) for score in beside if score.cause.n_parameters <= MANY]
-    instead = [(finding.cause, _in_its_place(finding, catalogue)) for finding in findings]
+    instead: list[tuple[Cause, Others]] = []
+    for finding in findings:
+        forms = (finding.own.cost - finding.cost) / 2  # log odds of its place against its form
+        others = _in_its_place(finding, catalogue.untestable(finding.cause.id))
+        instead.append((finding.cause, [(comes, log_odds + forms) for comes, log_odds in others]))
     for goes, others in (*instead, (None, besides)):
         near = ((model, *other) for model in models for other in others if model.log_weight + other[1] > -REACH)
         every = [_changed(model, goes, comes, log_odds) for model, comes, log_odds in near]
@@ -275,8 +275,9 @@ def models_in_reach(
         models = [models[0], *sorted(models[1:], key=lambda model: -model.log_weight)[: MOST_IN_REACH - 1]]
     if suspected:
         used = models[0]
-        for finding in suspected:
-            used = replace(_changed(used, finding.cause, *_in_its_place(finding, catalogue)[-1]), change="without")
+        for cause, others in instead:
+            if cause in {finding.cause for finding in suspected}:
+                used = replace(_changed(used, cause, *others[-1]), change="without")
         models = [used, *(model for model in models if set(model.causes) != set(used.causes))]
     return tuple(replace(model, log_prior=log_prior(model.causes)) for model in models)
 
@@ -285,16 +286,6 @@ def rivals_shown(findings: Sequence[Detection[Cause]], beside: Sequence[Score[Ca
     """Return the places that the data can show, in place of a finding or beside it, each with a cause there."""
     scores = [*beside, *(score for finding in findings for score in finding.scores)]
     return {score.cause.place: score.cause for score in scores}
-
-
-def _in_its_place(finding: Detection[Cause], catalogue: Catalogue) -> Others:
-    """Return what may be in a finding's place, with its log odds against the form found: a rival, tested or not, another form, none
-    (None, the last)."""
-    cause, cost = finding.cause, finding.own.cost
-    forms = (cost - finding.cost) / 2
-    tested: Others = [(score.cause, (cost - score.cost) / 2) for score in finding.scores if score.cause != cause]
-    untested = [(other, forms) for other in _untested(finding, catalogue.untestable(cause.id))]
-    return [*tested, *untested, (None, forms + _log_odds_of_nothing(finding))]
 
 
 def _changed(model: ModelInReach, goes: Cause | None, comes: Cause | Untested | None, log_odds: float) -> ModelInReach:
