@@ -328,7 +328,7 @@ SPEAKS: list[tuple[Rule, Mapping[str, object], int, str]] = [
     (ranked.look_for_structure, {**diagnosed(), "diagnose/findings.csv": to_frame([MISFIT, CAUSE], Finding),
                                  "diagnose/candidates.csv": NEAR}, 2, "nothing that was tested explains it. Measure"),
     (ranked.look_for_structure, {"diagnose/findings.csv": to_frame([SUSPECTED], Finding)}, 2,
-     "It may be transmission error of joint 2; these poses do not show it clearly. Before"),
+     "Suspected: transmission error of joint 2; these poses do not show it clearly. Before"),
     (ranked.look_for_structure, {**diagnosed(), "diagnose/findings.csv": to_frame([MISFIT], Finding),
                                  "diagnose/candidates.csv": NEAR}, 2,
      "nothing that was tested explains it for certain (mass error of link 3 comes nearest)"),
@@ -349,7 +349,7 @@ SPEAKS: list[tuple[Rule, Mapping[str, object], int, str]] = [
      "do not distinguish hysteresis of joint 2 from mass error of link 3"),
     (ranked.other_means, {"diagnose/findings.csv": found("one_of"), "diagnose/separations.csv": separations(
         0.0, "log each joint's travel")}, 3,
-     "Is it backlash of joint 2 or hysteresis of joint 2? Log each"),
+     "Which is it: backlash of joint 2 or hysteresis of joint 2? Log each"),
     (ranked.untested, {"diagnose/findings.csv": found("unexplained")}, 3, "Note the time of each reading, or the temperature as"),
     (ranked.too_short, chain(90), 2, "about 90 more steps"),
     (ranked.ensembles_disagree, {"sample/posterior.csv": pd.DataFrame({"parameter": ["a", "b"], "rhat": [1.2, 1.0]})}, 2,
@@ -468,7 +468,7 @@ def test_of_many_rivals_the_likeliest_are_asked_about() -> None:
     }
     told = [item.sentence for item in ranked.other_means(results({**QUIET, **tables}))]
     assert [sentence.rsplit("? ")[-1] for sentence in told[:-1]] == ["Look at a.", "Look at b.", "Look at c."]
-    assert told[-1].startswith("Further rivals are left, 3 in all: diagnose/separations.csv")
+    assert told[-1].startswith("3 further rivals left: diagnose/separations.csv")
 
 
 def test_every_rule_is_tested() -> None:

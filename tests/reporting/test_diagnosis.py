@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from calflow.deployment.run_outcome import RunOutcome
+from calflow.diagnosis.cause_tables import CandidateRow
 from calflow.diagnosis.findings import Finding
 from calflow.effects import catalogue
 from calflow.effects.wording import NamedCause, amount, cause_name, place_name, place_names
@@ -29,7 +30,7 @@ from calflow.reporting.bars import error_budget, evidence
 from calflow.reporting.cause_figures import explained_figure
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section, sections
-from calflow.reporting.sections.causes import gain_words, name_certainty
+from calflow.reporting.sections.causes import fitting_kin, gain_words, name_certainty
 from calflow.reporting.sections.parameters import estimates
 from calflow.reporting.sections.verdict import lacked, unsure
 from calflow.reporting.style import style
@@ -112,7 +113,7 @@ def test_what_cannot_be_told_apart_is_said_with_what_would_tell(small: Context) 
     assert "Its name is not certain: hysteresis of joint 2 explains these data as well" in section
     assert "No pose distinguishes backlash from hysteresis in these data: log each joint's travel." in section
     assert "Which is the cause: backlash of joint 2 or hysteresis of joint 2." in first
-    assert "Is it backlash of joint 2 or hysteresis of joint 2? Log each joint's travel." in first
+    assert "Which is it: backlash of joint 2 or hysteresis of joint 2? Log each joint's travel." in first
 
 
 def test_the_likeliest_of_many_is_no_name_on_the_first_page(small: Context) -> None:
@@ -407,12 +408,12 @@ def test_sureness_is_told_for_each_status(small: Context) -> None:
     one = [
         RunOutcome(with_diagnosis(small, found).results).findings[0] for found in (BACKLASH, OR_HYSTERESIS, ORDER_OPEN)
     ]
-    assert "Nothing else" in name_certainty(one[0])
-    assert "Its name is not certain" in name_certainty(one[1])
-    assert "its exact form. Periodic error and angle error curve would fit" in name_certainty(one[2])
+    assert "Nothing else" in name_certainty(one[0], one[0].kin)
+    assert "Its name is not certain" in name_certainty(one[1], one[1].kin)
+    assert "its exact form. Periodic error and angle error curve would fit" in name_certainty(one[2], one[2].kin)
     coarse = RunOutcome(with_diagnosis(small, replace(ORDER_OPEN, rivals="")).results).findings[0]
     assert coarse.name == "transmission error of joint 2"
-    assert "would fit as well" not in name_certainty(coarse)
+    assert "would fit as well" not in name_certainty(coarse, coarse.kin)
     assert unsure(RunOutcome(with_diagnosis(small, BACKLASH).results)) == []
 
 
@@ -422,7 +423,7 @@ def test_several_causes_told_as_one_curve_of_a_torque_say_so(small: Context) -> 
     (found,) = RunOutcome(with_diagnosis(small, both).results).findings
     found = replace(found, numbers=(1, 2))
     assert found.name == "nonlinear compliance of joint 2"
-    certainty = name_certainty(found)
+    certainty = name_certainty(found, found.kin)
     assert "depends on the joint's torque" in certainty
     assert certainty.endswith("its exact form or whether it is one cause or several.")
 
@@ -451,8 +452,31 @@ def test_doubt_about_a_part_of_a_certain_curve_is_not_told_of_the_whole(small: C
     rivals = Finding.of_rivals([NamedCause("nonlinear-joint-stiffness", 3)])
     found = replace(found, numbers=(1, 2), family_probability=0.99, **rivals)
     assert found.names == "transmission error of joint 2 (a part of it may be nonlinear stiffness of joint 3)"
-    assert "A part of it may be another cause: nonlinear stiffness of joint 3 explains" in name_certainty(found)
+    assert "A part of it may be another cause: nonlinear stiffness of joint 3 explains" in name_certainty(
+        found, found.kin
+    )
     assert replace(found, numbers=(1,)).names.endswith("of joint 2 or nonlinear stiffness of joint 3")
+
+
+def test_a_family_is_told_by_those_of_it_that_the_data_could_have() -> None:
+    """Fails if a report of positions says that a camera that slipped, or a lens, would fit as well."""
+    beside = ("stand-growth", "frame-drift", "camera-slip", "session-frame")
+    rivals = Finding.of_rivals([NamedCause("stand-growth", 0), NamedCause("unexplained", 0)])
+    step = Finding(status="one_of", cause="frame-step", statement="", **{**rivals, "cannot_tell_from": beside})
+    rows = [
+        CandidateRow(cause="frame-drift", delta_bic=-20.0, p_family=1e-6),
+        CandidateRow(cause="camera-slip", detail="not tested: no target is photographed"),
+    ]
+    assert fitting_kin(step, rows) == ["stand-growth", "frame-drift"]
+    told = name_certainty(step, ["stand-growth", "frame-drift"])
+    assert "Growth of the device's stand and drift of the measuring device would fit as well." in told
+
+
+def test_a_part_that_may_be_unexplained_is_told_as_that(small: Context) -> None:
+    """Fails if a part that may belong to the unexplained error is said to be another cause that may belong to it."""
+    (found,) = RunOutcome(with_diagnosis(small, ORDER_OPEN).results).findings
+    found = replace(found, numbers=(1, 2), family_probability=0.99, **Finding.of_rivals([NamedCause("unexplained", 0)]))
+    assert "A part of it may belong to the unexplained error (probability of" in name_certainty(found, ())
 
 
 @pytest.mark.parametrize(

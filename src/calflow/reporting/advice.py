@@ -254,7 +254,8 @@ def look_for_structure(outcome: RunOutcome) -> Iterator[Advice]:
         return
     left = outcome.unexplained
     suspects = next((finding.suspects for finding in left if finding.suspects), "")
-    may_be = f"{'It' if len(left) == 1 else 'A part of it'} may be {suspects}; these poses do not show it clearly"
+    of_it = "" if len(left) == 1 else " of a part of it"
+    may_be = f"Suspected{of_it}: {suspects}; these poses do not show it clearly"
     why = may_be if suspects else f"Nothing that was tested explains it{_nearest(outcome)}"
     sentence = (
         f"An error remains that depends on {outcome.structure}. {why}. Before you measure again, look for what changes with it: "
@@ -370,9 +371,9 @@ def other_means(outcome: RunOutcome) -> Iterator[Advice]:
             name = cause_name(row.cause, row.joint)
             rivals.setdefault((name, row.means), []).append(cause_name(row.rival, row.rival_joint))
     for (own, what), names in list(rivals.items())[:ASKED_ABOUT]:
-        yield Advice(3, f"Is it {own} or {listed(names, 2)}? {first_up(what)}.", poses=0)
+        yield Advice(3, f"Which is it: {own} or {listed(names, 2)}? {first_up(what)}.", poses=0)
     if further := sum(len(names) for names in list(rivals.values())[ASKED_ABOUT:]):
-        left = f"Further rivals are left, {further} in all: diagnose/separations.csv has what distinguishes each."
+        left = f"{plural(further, 'further rival')} left: diagnose/separations.csv has what distinguishes each."
         yield Advice(3, left, poses=0)
 
 

@@ -264,7 +264,8 @@ def _finding(material: Material, finding: Finding, number: int) -> list[Block]:
     moved = moves(material, finding)
     unmoved = "It changes how much each row counts, not the predicted position."
     gain = first_up(f"{gain_words(finding)}.") if moved else unmoved
-    sentences = (_what(finding), name_certainty(finding), *apart(finding, material), gain)
+    kin = fitting_kin(finding, material.candidates)
+    sentences = (_what(finding), name_certainty(finding, kin), *apart(finding, material), gain)
     head = Heading(f"{number}. {first_up(finding.names)}")
     return [head, Paragraph(" ".join(filter(None, sentences))), *_curves(material, finding)]
 
@@ -282,15 +283,21 @@ def _what(finding: Finding) -> str:
     return f"{title}: {size} (1 sd)." if size and "±" in size else f"{title}{f': {size}' if size else ''}."
 
 
-def name_certainty(finding: Finding) -> str:
-    """Return words on the certainty that a cause exists, and that it has this name."""
+def fitting_kin(finding: Finding, candidates: Sequence[CandidateRow]) -> list[str]:
+    """Return the ids of a finding's family that fit as well, without those that these data could not have."""
+    tried = {*finding.rival_causes, *(row.cause for row in _tested(candidates))}
+    return [name for name in finding.kin if name in tried]
+
+
+def name_certainty(finding: Finding, kin: Sequence[str]) -> str:
+    """Return words on the certainty that a cause exists, and that it has this name; kin are those of `fitting_kin`."""
     sentences = []
     if finding.of_family:
-        kin = first_up(listed([cause_words(name).name for name in finding.kin]))
         on = FORMS_OF_ONE[cause_family(finding.cause)]
         several = " or whether it is one cause or several" if len(finding.numbers) > 1 else ""
         sentences.append(f"The data show that it depends on {on}, but do not determine its exact form{several}.")
-        sentences += [f"{kin} would fit as well."] if finding.kin and not several else []
+        names = first_up(listed([cause_words(name).name for name in kin]))
+        sentences += [f"{names} would fit as well."] if kin and not several else []
     if finding.others:
         named = [other for other in finding.others if other.cause != UNEXPLAINED]
         tested = [other.name for other in named if other.cause not in finding.not_tested]
@@ -302,10 +309,11 @@ def name_certainty(finding: Finding) -> str:
             ("A part of it may be another cause", "that") if finding.is_in_part else ("Its name is not certain", "it")
         )
         why += [f"{it} may be part of the unexplained error"] if len(named) < len(finding.others) else []
-        sentences.append(
-            f"{doubt}: {', and '.join(why)} (probability of {finding.name}: "
-            f"{sureness(finding.name_probability)}{_of_its_family(finding)})."
-        )
+        doubted = f"{doubt}: {', and '.join(why)}"
+        if finding.is_in_part and not named:
+            doubted = "A part of it may belong to the unexplained error"
+        sure = f"{sureness(finding.name_probability)}{_of_its_family(finding)}"
+        sentences.append(f"{doubted} (probability of {finding.name}: {sure}).")
     elif UNEXPLAINED in finding.cannot_tell_from:
         sentences.append(
             "Its name is not certain: something that no cause explains depends on the same input, and may be all of it."

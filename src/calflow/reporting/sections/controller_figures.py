@@ -10,7 +10,8 @@ import numpy as np
 from calflow.deployment.export import ControllerFigure, controller_figures, robot_of
 from calflow.deployment.figures_alone import Levels
 from calflow.effects.geometry import Geometry
-from calflow.files.words import effect_words, first_up, listed, number
+from calflow.effects.wording import cause_words
+from calflow.files.words import first_up, listed, number
 from calflow.reporting.advice import BY_PRIOR
 from calflow.reporting.blocks import Block, Heading, Paragraph, Table, headed
 from calflow.reporting.material import Material
@@ -33,8 +34,8 @@ OWN_FRAMES = (
 NO_BETA = " beta turns about y where two axes are nearly parallel; for a controller that has no beta, leave it out."
 WORTH = "Page one has the robot's error with these figures, with fewer, and with corrected commands."
 ANEW = (
-    "Such figures cannot represent {others}. They were fitted without it, absorb a part of it, and so differ from the model's "
-    "parameters."
+    "Such figures cannot represent {others}. They were fitted without, absorb a part of that error, and so differ from the "
+    "model's parameters."
 )
 ZEROS = (
     "For a controller that takes joint zeros alone: add these to its readings. They were fitted with the maker's lengths and "
@@ -119,7 +120,7 @@ def zeros(robot: Robot, levels: Levels) -> np.ndarray:
 def _fitted_without(material: Material) -> list[Block]:
     """Return words on what the figures were fitted without, and on any harm that they do."""
     levels = material.levels
-    others = list(dict.fromkeys(effect_words(effect.id) for effect in levels.left_out))
+    others = list(dict.fromkeys(cause_words(effect.id).name for effect in levels.left_out))
     anew = [ANEW.format(others=listed(others, 6))] if others else []
     harm = [first_up(f"{levels.harm}.")] if levels.harm else []
     return [Paragraph(" ".join((WORTH, *anew, *harm)), keep=True)]
