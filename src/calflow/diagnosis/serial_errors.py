@@ -97,11 +97,11 @@ class SerialErrors:
     def _factor(self) -> np.ndarray:
         """C in LAPACK's band storage, (2, n)."""
         phi, white = self._neighbours, 1 - self.share
-        band = np.empty((2, len(phi)))
+        band = np.zeros((2, len(phi)))
         band[0] = self.share * (1 - phi**2) + white * (1 + phi**2)
-        band[1] = np.append(-white * phi[1:], 0.0)
+        band[1, :-1] = -white * phi[1:]
         band[0, 0] = 1.0
-        return np.asarray(scipy.linalg.cholesky_banded(band, lower=True, overwrite_ab=True, check_finite=False))
+        return np.asarray(scipy.linalg.lapack.dpbtrf(band, lower=1)[0])
 
     @property
     def log_determinant(self) -> float:
@@ -112,7 +112,7 @@ class SerialErrors:
         """Return values (n, …) times V^-1/2."""
         apart = np.array(values, dtype=float)
         apart[1:] -= (self._neighbours[1:] * values[:-1].T).T
-        return np.asarray(scipy.linalg.solve_banded((1, 0), self._factor, apart, overwrite_b=True, check_finite=False))
+        return np.asarray(scipy.linalg.lapack.dtbtrs(self._factor, apart, uplo="L")[0]).reshape(values.shape)
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,17 +139,21 @@ class RestrictedLikelihood:
 
     @cached_property
     def _both(self) -> np.ndarray:
-        """Residual and design side by side, (n, 1 + n_parameters)."""
-        return np.column_stack([self.residual, self.design])
+        """Design and residual side by side, (n, n_parameters + 1)."""
+        return np.column_stack([self.design, self.residual])
+
+    @cached_property
+    def _prior(self) -> np.ndarray:
+        """What the priors add to the products of design and residual, (n_parameters + 1, n_parameters + 1)."""
+        both = np.column_stack([np.eye(len(self.pull)), self.pull])
+        return np.asarray(self.level**2 * both.T @ both)
 
     def _judged(self, errors: SerialErrors | None) -> tuple[float, float]:
         both = self._both if errors is None else errors.whitened(self._both)
-        left, design = both[:, 0], both[:, 1:]
-        factor = np.linalg.cholesky(design.T @ design + self.level**2 * np.eye(len(self.pull)))
-        aim = design.T @ left + self.level**2 * self.pull
-        settled = scipy.linalg.solve_triangular(factor, aim, lower=True, check_finite=False)
-        chi2 = float(left @ left + self.level**2 * self.pull @ self.pull - settled @ settled)
-        variance = max(chi2 / self.degrees_of_freedom, 1e-300)
+        products = both.T @ both + self._prior
+        factor = np.linalg.cholesky(products[:-1, :-1])
+        settled = scipy.linalg.lapack.dtrtrs(factor, products[:-1, -1], lower=1)[0]
+        variance = max(float(products[-1, -1] - settled @ settled) / self.degrees_of_freedom, 1e-300)
         cost = self.degrees_of_freedom * np.log(variance) + 2 * np.log(factor.diagonal()).sum()
         return variance, float(cost) + (errors.log_determinant if errors else 0.0)
 
