@@ -159,7 +159,8 @@ class FittedTrial(Trial[Cause]):
         )
 
     def _finer(self, cause: Cause) -> list[Cause]:
-        return [replace(cause, effect=effect) for effect in cause.effect.finer(self.fitted.data)]
+        finer = cause.effect.finer(self.fitted.data)
+        return [replace(cause, effect=effect) for effect in finer if cause.part in effect.parts]
 
 
 def extend(start: Fitted, catalogue: Catalogue, search: Stepwise) -> FittedTrial:
