@@ -30,7 +30,7 @@ from calflow.estimation.calibrated_model import SeriesNoise
 from calflow.estimation.certainty import Certainty, MissedPose
 from calflow.estimation.identifiability import Statement
 from calflow.estimation.lack_of_fit import NoiseDoubt
-from calflow.estimation.model_tables import Extrapolation, FitSummary, IdentifySummary, Placed, Solver
+from calflow.estimation.model_tables import Extrapolation, FitSummary, IdentifySummary, ModelObservation, Placed, Solver
 from calflow.estimation.noise import Source
 from calflow.faults.outlier import MISNAMED
 from calflow.files.tables import Results, to_document, to_frame
@@ -232,6 +232,11 @@ def planned(words: str = "") -> pd.DataFrame:
     return to_frame([cell], IsolabilityCell)
 
 
+def observed(kind: str) -> pd.DataFrame:
+    """What was measured, of one series of a kind."""
+    return to_frame([ModelObservation(kind=kind, series="", observation="{}")], ModelObservation)
+
+
 QUIET: dict[str, object] = {
     "select/isolability.csv": planned(),
     **summary(),
@@ -241,6 +246,7 @@ QUIET: dict[str, object] = {
     "identify/parameters.csv": parameter_table(),
     "identify/identifiability.csv": statements(),
     "identify/placement.csv": placement("E"),
+    "identify/observations.csv": observed("position"),
     "diagnose/findings.csv": found(),
     "diagnose/candidates.csv": candidates("warmth"),
     "diagnose/separations.csv": separations(0.99).iloc[:0],
@@ -500,6 +506,9 @@ def test_every_rule_is_tested() -> None:
                                          "identify/placement.csv": placement("A", "B"),
                                          "identify/parameters.csv": of_parts(joint6_d="joint6", A_z="A", B_z="B")}),
         (ranked.second_marker, {"identify/identifiability.csv": statements(("trade", "joint6.d;joint5.a"))}),
+        (ranked.second_marker, {"identify/identifiability.csv": statements(("trade", "joint6.d;E.z")),
+                                         "identify/observations.csv": observed("pose"),  # the tool's turn was measured
+                                         "identify/parameters.csv": of_parts(joint6_d="joint6", E_z="E")}),
         (ranked.unseen_compliance, {"identify/identifiability.csv": statements(("silent", "joint2.a"))}),
         (ranked.model_lacks, {**summary(reduced_chi2=9.0), **summary("diagnose", reduced_chi2=1.1)}),
         (ranked.model_lacks, {**summary(reduced_chi2=9.0), "diagnose/findings.csv": found("unexplained")}),

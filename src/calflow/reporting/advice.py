@@ -29,12 +29,13 @@ from calflow.effects.geometry import LINK_BOUND, Geometry
 from calflow.effects.wording import UNEXPLAINED, cause_name, place_name, place_names
 from calflow.estimation.certainty import PROMISED, MissedPose
 from calflow.estimation.identifiability import Statement
+from calflow.estimation.model_tables import ModelObservation
 from calflow.estimation.noise import MIN_REPEATS
 from calflow.estimation.parameters import FittedParameter
 from calflow.faults.base import FaultyRow
 from calflow.faults.outlier import MISNAMED
 from calflow.files.deferred import pd
-from calflow.files.units import METRE
+from calflow.files.units import METRE, RADIAN
 from calflow.files.words import (
     first_up,
     interval,
@@ -47,6 +48,7 @@ from calflow.files.words import (
     ratio,
     readable,
 )
+from calflow.observations import observation_kinds
 from calflow.observations.base import UNKNOWN_SIZE_SD
 from calflow.observations.camera import Camera
 from calflow.sampling.posterior import ChainSummary
@@ -530,9 +532,10 @@ def allowed_range(row: FittedParameter) -> str:
 
 
 def second_marker(outcome: RunOutcome) -> Iterator[Advice]:
-    """A correlation between the last link and the only marker is resolved by a second marker."""
+    """A correlation between the last link and the only marker is resolved by a second one, unless the tool's turn was measured."""
     markers = [placed.what for placed in outcome.placement if placed.kind == "marker"]
-    if len(markers) != 1:
+    kinds = {row.kind for row in outcome.results.rows("identify/observations.csv", ModelObservation)}
+    if len(markers) != 1 or any(RADIAN in observation_kinds()[kind].units for kind in kinds):
         return
     marker = markers[0]
     places = {row.parameter for row in outcome.identified_parameters if row.part == marker}
