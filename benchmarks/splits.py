@@ -35,7 +35,7 @@ def main() -> None:
     for seed in range(12):
         split = data.split(study.file.split.holdout, seed)
         splits.append(heldout(split, study.file.effects))
-        beyond = ", ".join(f"joint {one.joint}" for one in extrapolation(split))
+        beyond = ", ".join(f"joint {joint}" for joint in extrapolation(split))
         print(f"{seed:5}  {splits[-1].mean():16.3f}  {beyond}")
     print(
         f"mean over splits {np.mean([s.mean() for s in splits]):.3f}, median {np.median([s.mean() for s in splits]):.3f}"

@@ -26,7 +26,6 @@ from calflow.estimation.error_model import ErrorModel, SmoothVariances, usual_si
 from calflow.estimation.fit import Fit
 from calflow.estimation.smooth_functions import SIZE, InTime, SmoothFunction, Wandering, in_time, within
 from calflow.estimation.variance_components import SIZES, TEMPERED
-from calflow.files.tables import column
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Deflection, Dimensions, Row, State
 
@@ -345,21 +344,13 @@ def _moved(causes: Sequence[Effect], result: Fit, data: Measurements) -> np.ndar
     return np.asarray(model.position_jacobian(result.estimate, rows).mean(axis=0) * of_causes)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Extrapolation:
-    """A joint whose held-out readings lie beyond the fitted range, where held-out accuracy is extrapolation."""
-
-    joint: int = column("its number")
-    rows: int = column("number of held-out rows beyond the fitted range")
-
-
-def extrapolation(data: Measurements) -> tuple[Extrapolation, ...]:
-    """Return the joints whose held-out readings lie beyond the fitted range, where held-out accuracy is extrapolation."""
+def extrapolation(data: Measurements) -> tuple[int, ...]:
+    """Return the numbers of the joints whose held-out readings lie beyond the fitted range: held-out accuracy is extrapolation."""
     if not data.held_out.any():
         return ()
-    every = data.joints[data.train | data.held_out]
-    rows = beyond(data.joints[data.held_out], data.joints[data.train], np.ptp(every, axis=0)).sum(axis=0)
-    return tuple(Extrapolation(joint=int(i) + 1, rows=int(rows[i])) for i in np.flatnonzero(rows))
+    travel = np.ptp(data.joints[data.train | data.held_out], axis=0)
+    outside = beyond(data.joints[data.held_out], data.joints[data.train], travel).any(axis=0)
+    return tuple(int(i) + 1 for i in np.flatnonzero(outside))
 
 
 def beyond(readings: np.ndarray, measured: np.ndarray, travel: np.ndarray | None = None) -> np.ndarray:

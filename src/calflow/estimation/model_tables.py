@@ -14,7 +14,6 @@ from calflow.effects.cause import Cause
 from calflow.estimation.calibrated_model import Alternative, CalibratedModel, SeriesNoise
 from calflow.estimation.certainty import Certainty
 from calflow.estimation.error_model import ErrorModel, error_table, read_errors
-from calflow.estimation.extrapolation import Extrapolation
 from calflow.estimation.fit import Fit
 from calflow.estimation.lack_of_fit import SIGNIFICANT, LackOfFit, NoiseDoubt
 from calflow.estimation.least_squares import Loss
@@ -234,9 +233,7 @@ class IdentifySummary(FitSummary):
     equilibrium_error_um: float = column("largest change of a position by a fourth iteration of the equilibrium", "um")
     starts: int = column("number of fits from different starting points")
     starts_agreeing: int = column("number of them that reached the same optimum")
-    extrapolation: tuple[Extrapolation, ...] = column(
-        "joints held out beyond the fitted range: joint, rows", default=()
-    )
+    extrapolation: tuple[int, ...] = column("numbers of the joints held out beyond the fitted range", default=())
     time_origin_s: float | None = column("clock reading from which times count; null: no times", "s", default=None)
     conditions: tuple[str, ...] = column(
         "the optional conditions that the measurements state: approach, travel, wrench, …", default=()

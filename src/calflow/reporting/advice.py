@@ -226,7 +226,7 @@ def does_not_carry_over(outcome: RunOutcome) -> Iterator[Advice]:
 
 def reaches_beyond(outcome: RunOutcome) -> Iterator[Advice]:
     """Held-out poses beyond the fitted joint ranges require extrapolation."""
-    if joints := [joint.joint for joint in outcome.summary.extrapolation]:
+    if joints := outcome.summary.extrapolation:
         sentence = (
             f"Some held-out poses reach further than any fitted one ({plural_word(joints, 'joint')} {listed(joints, 8)}). Measure "
             "poses for the fit that cover the whole range there."
