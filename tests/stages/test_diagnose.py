@@ -58,6 +58,9 @@ def test_the_summary_tells_whether_the_extended_fit_converged(fitted, converged)
     last = replace(fitted, fit=replace(fitted.fit, converged=converged, status="Maximum_Iterations_Exceeded"))
     first = Linearisation.at(fitted, ()).screened(np.random.default_rng(1))
     found = Diagnosis(fitted, first, last, last, (), (), None, Catalogue((), {}), 0.01)
-    extended = SimpleNamespace(device=(), alternatives=(), model=fitted.model)
+    extended = SimpleNamespace(
+        device=(), alternatives=(), model=fitted.model, discrepancy=last.noise.discrepancy, errors=last.errors,
+        intraclass=0.0, noise_known=True,
+    )  # fmt: skip
     told = diagnosis_summary(found, SimpleNamespace(device=[SimpleNamespace(sigma=3e-5)]), extended)
     assert (told.converged, told.solver.status) == (converged, "Maximum_Iterations_Exceeded")

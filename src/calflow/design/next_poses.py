@@ -69,12 +69,10 @@ def uncertainties(
     _, slopes = probed(planned.problem(model, estimate, choices.conditions), estimate, asked)
     slopes = slopes.reshape(len(choices), -1, slopes.shape[1])
     n, smooth = len(estimate), len(estimate) + len(errors.sd)
-    moved = errors.moved(model, estimate, at_task.conditions)
-    at_poses, at_tool = slopes[:, :, :smooth] * np.append(np.ones(n), errors.sd), [at_task.slopes, moved]
+    at_poses = slopes[:, :, :smooth] * np.append(np.ones(n), errors.sd)
+    at_tool = errors.slopes(model, estimate, at_task.conditions)
     # Their mean is no uncertainty: no further pose reduces it.
-    seen, tool = (
-        errors.shared(each, fitted.covariance)[:, :, 1:] for each in (at_poses, np.concatenate(at_tool, axis=2))
-    )
+    seen, tool = (errors.shared(each, fitted.covariance)[:, :, 1:] for each in (at_poses, at_tool))
     uncertainties = [
         Uncertainty(PARAMETERS, seen[:, :, :n], tool[:, :, :n]),
         Uncertainty("smooth errors", seen[:, :, n:], tool[:, :, n:]),

@@ -35,7 +35,7 @@ from calflow.estimation.accuracy import Accuracy, accuracy, leading_errors
 from calflow.estimation.calibrated_model import Alternative, CalibratedModel, series_noise
 from calflow.estimation.fit import Fit
 from calflow.estimation.leverage import UNSURE
-from calflow.estimation.model_tables import FitSummary, alternative_models, fit_figures
+from calflow.estimation.model_tables import FitSummary, fit_figures
 from calflow.estimation.needed_conditions import needed_conditions
 from calflow.estimation.noise import Noise, averaged, repeats_scatter
 from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
@@ -191,17 +191,7 @@ def diagnosis_summary(diagnosis: Diagnosis, calibrated: CalibratedModel, extende
         sigma = float(np.median(final.noise.sigma[final.noise.of_series(0)]))
     return DiagnosisSummary(
         sigma_mm=1e3 * sigma if final.noise.leading[0] == METRE else None,
-        **fit_figures(
-            final.fit,
-            final.noise,
-            extended.device,
-            final.lack,
-            final.left_out.at_new_poses,
-            diagnosis.upper_limit,
-            final.errors,
-        ),
-        intraclass=final.intraclass,
-        alternatives=alternative_models(extended.alternatives, extended.model),
+        **fit_figures(final.fit, extended, final.lack, final.left_out.at_new_poses, diagnosis.upper_limit),
         reduced_chi2_before=first.lack.reduced_chi2 if first.noise.known else None,
         causes_tested=len({score.cause.place for score in diagnosis.first.scores}),
         tests=diagnosis.first.family.places,

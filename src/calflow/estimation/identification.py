@@ -78,21 +78,13 @@ class FittedEffects:
     @cached_property
     def summary(self) -> IdentifySummary:
         """The figures of `identify/summary.json`."""
-        fit, noise, data, ranks = self.fit, self.noise, self.data, rank_by_effect(self.fit)
+        fit, noise, data, out = self.fit, self.noise, self.data, self.left_out
+        ranks = rank_by_effect(fit)
         used = data.only(data.train | data.held_out)
         points = fit.model.point(fit.estimate, used.conditions)
         return IdentifySummary(
             sigma_mm=1e3 * noise.typical(METRE) if METRE in noise.leading else None,
-            **fit_figures(
-                fit,
-                noise,
-                self.known.device,
-                self.lack,
-                self.left_out.at_new_poses,
-                self.left_out.upper_limit(noise.known),
-                self.errors,
-            ),
-            intraclass=noise.intraclass,
+            **fit_figures(fit, self.known, self.lack, out.at_new_poses, out.upper_limit(noise.known)),
             spread_mm=1e3 * float(np.linalg.norm(points - points.mean(axis=0), axis=1).mean()),
             rank=sum(ranks.values()),
             parameters=len(fit.model.parameters),

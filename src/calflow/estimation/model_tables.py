@@ -13,12 +13,12 @@ from calflow.effects import Effect, effect_class
 from calflow.effects.cause import Cause
 from calflow.estimation.calibrated_model import Alternative, CalibratedModel, SeriesNoise
 from calflow.estimation.certainty import Certainty
-from calflow.estimation.error_model import ErrorModel, error_table, read_errors
+from calflow.estimation.error_model import error_table, read_errors
 from calflow.estimation.fit import Fit
 from calflow.estimation.lack_of_fit import SIGNIFICANT, LackOfFit, NoiseDoubt
 from calflow.estimation.least_squares import Loss
 from calflow.estimation.needed_conditions import NeededCondition
-from calflow.estimation.noise import Noise, PerUnit, Source
+from calflow.estimation.noise import PerUnit, Source
 from calflow.estimation.parameters import FittedParameter, covariance_table
 from calflow.estimation.registration import about_places
 from calflow.estimation.residual_field import read_field
@@ -195,25 +195,21 @@ class FitSummary:
 
 
 def fit_figures(
-    fit: Fit,
-    noise: Noise,
-    devices: tuple[SeriesNoise, ...],
-    lack: LackOfFit,
-    new_poses: float,
-    limit: float,
-    errors: ErrorModel,
+    fit: Fit, calibrated: CalibratedModel, lack: LackOfFit, new_poses: float, limit: float
 ) -> dict[str, Any]:
-    """Return the fields of a `FitSummary` from a fit, its noise and its error model; new_poses and its limit are in m."""
+    """Return the fields of a `FitSummary` from a fit and its model; new_poses and its limit are in m."""
     return {
-        "noise_sources": noise.sources,
-        "noise": devices,
-        "discrepancies": {unit.label: unit.shown(size) for unit, size in noise.discrepancy.sizes},
+        "noise_sources": tuple(device.source for device in calibrated.device),
+        "noise": calibrated.device,
+        "discrepancies": {unit.label: unit.shown(size) for unit, size in calibrated.discrepancy.sizes},
+        "alternatives": alternative_models(calibrated.alternatives, calibrated.model),
+        "intraclass": calibrated.intraclass,
         "new_poses_mm": None if np.isnan(new_poses) else 1e3 * new_poses,
         "new_poses_limit_mm": None if np.isnan(limit) else 1e3 * limit,
-        "rest_mm": 1e3 * errors.rest[METRE],
+        "rest_mm": 1e3 * calibrated.errors.rest[METRE],
         "loss": fit.loss,
-        "reduced_chi2": lack.reduced_chi2 if noise.known else None,
-        "lack_of_fit_p": lack.p if noise.known else None,
+        "reduced_chi2": lack.reduced_chi2 if calibrated.noise_known else None,
+        "lack_of_fit_p": lack.p if calibrated.noise_known else None,
         "solver": Solver(status=fit.status, iterations=fit.iterations),
         "converged": fit.converged,
     }

@@ -114,13 +114,10 @@ class Laplace:
     def of(problem: LeastSquares, estimate: np.ndarray) -> Laplace:
         """Return the approximation of a problem's posterior about its estimate, the noise level from the residuals."""
         there, prior_sd = Fit.at(problem, estimate), problem.model.prior_sd
-        pull, prior, scale = (
-            (estimate - problem.model.prior_mean) / prior_sd,
-            prior_sd**-2.0,
-            np.outer(prior_sd, prior_sd),
-        )
+        pull, prior = (estimate - problem.model.prior_mean) / prior_sd, np.diag(prior_sd**-2.0)
+        scale = np.outer(prior_sd, prior_sd)
         variance = float((2 * there.objective - pull @ pull) / max(1.0, problem.size - there.effective_parameters))
-        at_level = replace(there, information=np.diag(prior) + (there.information - np.diag(prior)) / variance)
+        at_level = replace(there, information=prior + (there.information - prior) / variance)
         covariance = np.linalg.inv(at_level.information * scale) * scale
         gradient = ((there.gradient * prior_sd - pull) / variance + pull) / prior_sd
         sd = np.sqrt(np.diag(at_level.covariance))
