@@ -46,7 +46,7 @@ from calflow.sampling.task_points import TaskSummary
 from reporting.pdf import pages_of
 
 SUMMARY = IdentifySummary(
-    noise_sources=("file",), sigma_mm=0.05, discrepancies={"mm": 0.0}, rest_mm=0.0,
+    noise_sources=("file",), noise=(), sigma_mm=0.05, discrepancies={"mm": 0.0}, rest_mm=0.0,
     loss="linear", reduced_chi2=1.02, lack_of_fit_p=0.5,
     solver=Solver(status="Solve_Succeeded", iterations=9), spread_mm=1e3, rank=3, parameters=3, rank_by_effect={},
     effective_parameters=3.0, training_poses=9, heldout_poses=4, converged=True, equilibrium_error_um=0.0, starts=3,
@@ -234,7 +234,7 @@ def planned(words: str = "") -> pd.DataFrame:
 
 def observed(kind: str) -> pd.DataFrame:
     """What was measured, of one series of a kind."""
-    return to_frame([ModelObservation(kind=kind, series="", observation="{}")], ModelObservation)
+    return to_frame([ModelObservation(kind=kind, observation="{}")], ModelObservation)
 
 
 QUIET: dict[str, object] = {

@@ -54,7 +54,7 @@ def test_a_region_without_gain_is_told(material: Material) -> None:
 def test_an_axis_that_nothing_measured_is_not_told_of_measured_positions(material: Material) -> None:
     """Fails if positions were measured along all axes, and page one says that nothing tells where the tool is along one."""
     told = to_document(replace(material.certainty, no_gain=0.5, untold=("z",)))
-    lengths = to_frame([ModelObservation(kind="distance", series="", observation="{}")], ModelObservation)
+    lengths = to_frame([ModelObservation(kind="distance", observation="{}")], ModelObservation)
     for tables, expected in (({}, False), ({"identify/observations.csv": lengths}, True)):
         doubted = material.results | Results(tables, {"identify/certainty.json": told})
         said = dict(how_sure(replace(material, results=doubted)))["Where:"]

@@ -158,7 +158,7 @@ def test_steps_are_named_by_what_they_add() -> None:
 
 def test_lack_of_fit_is_a_factor_on_the_noise() -> None:
     solver = Solver(status="Solve_Succeeded", iterations=9)
-    known = FitSummary(noise_sources=("repeats",), sigma_mm=0.05, discrepancies={"mm": 0.0}, rest_mm=0.0,
+    known = FitSummary(noise_sources=("repeats",), noise=(), sigma_mm=0.05, discrepancies={"mm": 0.0}, rest_mm=0.0,
                        loss="linear",
                        converged=True, reduced_chi2=20.25, lack_of_fit_p=0.0, solver=solver)  # fmt: skip
     assert known.lack_of_fit == pytest.approx(4.5)

@@ -65,8 +65,7 @@ class ModelObservation:
     """The observation of a series of measurements."""
 
     kind: str = column("id of the observation")
-    series: str = column("name of the series; empty: the only one")
-    observation: str = column("all its fields, as JSON")
+    observation: str = column("all its fields, as JSON, the name of the series among them")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,8 +134,7 @@ class FitSummary:
     )
     noise: tuple[SeriesNoise, ...] = column(
         "noise of each series, in SI units or px: sigma of a row per axis (at zero range), typical over the rows, growth with "
-        "range, and factors of what label names",
-        default=(),
+        "range, and factors of what label names"
     )
     intraclass: float = column(
         "correlation of the errors of markers at one standstill, axis by axis; 0: independent", default=0.0
@@ -275,12 +273,7 @@ def _model_effect(effect: Effect) -> ModelEffect:
 
 def observation_table(observed: Sequence[Observation]) -> pd.DataFrame:
     """Return the table of `ModelObservation`s."""
-    rows = [
-        ModelObservation(
-            kind=observation.id, series=observation.series.name, observation=json.dumps(asdict(observation))
-        )
-        for observation in observed
-    ]
+    rows = (ModelObservation(kind=each.id, observation=json.dumps(asdict(each))) for each in observed)
     return to_frame(rows, ModelObservation)
 
 
