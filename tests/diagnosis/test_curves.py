@@ -76,15 +76,15 @@ def test_before_is_after_with_the_causes_own_part(rows, names):
     """Fails if what is drawn before is not what the model without this cause, but with the others, would leave."""
     found, noise = drawn(*names, **rows)
     assert list(found.columns) == [column.name for column in columns(CurvePoint)]
-    assert_allclose(found["before_mm"] - found["fitted_mm"], found["after_mm"], atol=1e-12)
+    assert_allclose(found["before"] - found["fitted"], found["after"], atol=1e-12)
     for k, name in enumerate(names):
         own = found[found["finding"] == k + 1]
         assert set(own["cause"]) == {name}
         assert set(own["joint"]) == {FUNCTIONS[name][0]}
         assert list(own["pose"]) == list(range(len(noise)))
         assert set(own["split"]) == {"train", "holdout"}
-        assert (own["after_mm"].abs() <= 1e3 * np.linalg.norm(noise, axis=1) + 1e-9).all()
-        assert own["after_mm"].std() == pytest.approx(1e3 * NOISE, rel=0.6)
+        assert (own["after"].abs() <= 1e3 * np.linalg.norm(noise, axis=1) + 1e-9).all()
+        assert own["after"].std() == pytest.approx(1e3 * NOISE, rel=0.6)
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)
@@ -97,7 +97,7 @@ def test_what_is_fitted_is_the_function_on_its_lever(rows, name):
     assert set(found["variable_unit"]) == {unit}
     assert f"joint {joint}" in found["variable"].iloc[0]
     expected = 1e3 * lever(joint, rows["q"]) * function(angle, approach)
-    assert_allclose(np.abs(found["fitted_mm"]), np.abs(expected), rtol=2e-3, atol=1e-4)
+    assert_allclose(np.abs(found["fitted"]), np.abs(expected), rtol=2e-3, atol=1e-4)
 
 
 def test_a_curve_changes_sign_with_its_function():
@@ -108,14 +108,14 @@ def test_a_curve_changes_sign_with_its_function():
     found, _ = drawn("joint-eccentricity", q=q, approach=np.ones((15, 6)))
     expected = 1e3 * lever(joint, q) * function(q[:, joint - 1], 1.0)
     assert expected.min() < -0.05 < 0.05 < expected.max()
-    side = np.sign(found["fitted_mm"].iloc[0] * expected[0])
-    assert_allclose(side * found["fitted_mm"], expected, atol=2e-3)
+    side = np.sign(found["fitted"].iloc[0] * expected[0])
+    assert_allclose(side * found["fitted"], expected, atol=2e-3)
 
 
 def test_backlash_is_drawn_to_both_sides(rows):
     """Fails if a pose's errors from its two sides are drawn to the same side."""
     found, _ = drawn("joint-backlash", **rows)
-    fitted = found["fitted_mm"].to_numpy().reshape(-1, 2)
+    fitted = found["fitted"].to_numpy().reshape(-1, 2)
     assert_allclose(fitted[:, 0], -fitted[:, 1], rtol=1e-2)
 
 

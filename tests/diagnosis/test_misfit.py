@@ -47,7 +47,7 @@ def test_a_misfit_is_told_with_where_it_is_largest(where, name):
     assert (model.lack.p < 1e-6, model.lack.reduced_chi2 > 1.7) == (True, True)
     region = largest_misfit(model, rng())
     assert region.input == name
-    assert region.there_mm > 3 * region.elsewhere_mm
+    assert region.there > 3 * region.elsewhere
 
 
 def test_an_even_misfit_has_no_place():
@@ -81,7 +81,7 @@ def test_a_session_of_other_noise_is_named(rougher):
 
 def test_a_region_is_told_in_words():
     """Fails if a place is told without its unit, its figures or its joint."""
-    there = MisfitRegion(input="q3", low=20.3, high=44.8, unit="deg", there_mm=0.2134, elsewhere_mm=0.0811)
+    there = MisfitRegion(input="q3", low=20.3, high=44.8, unit="deg", error_unit="mm", there=0.2134, elsewhere=0.0811)
     assert there.words == "largest where joint 3 is between 20 and 45 deg: 0.213 mm against 0.0811 mm elsewhere"
 
 

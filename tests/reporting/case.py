@@ -154,7 +154,7 @@ ORDER_OPEN = Found(
 )
 COUPLED = Found("unexplained", statement="it depends on two joints", inputs=("q2", "q3"))
 WAVING = Found("unexplained", detail="period 36 s", statement="it depends on time", inputs=("time",))
-WORST = MisfitRegion(input="q2", low=20.0, high=45.0, unit="deg", there_mm=0.2, elsewhere_mm=0.1)
+WORST = MisfitRegion(input="q2", low=20.0, high=45.0, unit="deg", error_unit="mm", there=0.2, elsewhere=0.1)
 MISFIT = Found(
     "unexplained",
     detail="joint 2 is between 20 and 45 deg",
@@ -320,8 +320,8 @@ def _curves(told: list[Found], pose: pd.Series, split: pd.Series) -> pd.DataFram
         blocks.append(
             pd.DataFrame({"finding": k, "cause": one.cause, "joint": one.joint or np.nan,
                           "variable": f"approach of joint {one.joint}" if side else f"angle of joint {one.joint}",
-                          "variable_unit": np.nan if side else "deg", "x": x, "before_mm": fitted + noise, "after_mm": noise,
-                          "fitted_mm": fitted, "pose": pose, "split": split})
+                          "variable_unit": np.nan if side else "deg", "x": x, "before": fitted + noise, "after": noise,
+                          "fitted": fitted, "pose": pose, "split": split})
         )  # fmt: skip
     return pd.concat(blocks, ignore_index=True) if blocks else to_frame((), CurvePoint)
 

@@ -182,7 +182,7 @@ SUSPECTED = Finding(
 )
 MISFIT = Finding(status="unexplained", statement="")
 CAUSE = Finding(status="named", cause="joint-backlash", joint=2, statement="")
-OF_A_DAY = MisfitRegion(input="session", value="tue", there_mm=0.3, elsewhere_mm=0.1)
+OF_A_DAY = MisfitRegion(input="session", value="tue", error_unit="mm", there=0.3, elsewhere=0.1)
 EXCHANGED = Finding(status="named", cause="payload-step", detail="after row 64 in measuring order", statement="")
 NEAR = to_frame([CandidateRow(cause="link-mass", joint=3, p_family=0.02, delta_bic=-9.0)], CandidateRow)
 UNREPEATED = Finding(status="unexplained", statement="", inputs=("pose", "q3", "q2"), detail="0.1 mrad")

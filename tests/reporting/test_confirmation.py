@@ -12,10 +12,10 @@ def test_a_slides_curve_is_drawn_in_lengths():
     """Fails if a slide's curve is left out beside a turning joint's, or labelled as an angle."""
     x = np.linspace(0, 1, 5)
     turning = pd.DataFrame(
-        {"cause": "joint-error-map", "joint": 2, "angle_deg": 90 * x, "here_urad": x, "there_urad": x}
+        {"cause": "joint-error-map", "joint": 2, "travel": 90 * x, "here": x, "there": x, "travel_unit": "deg"}
     )
-    sliding = pd.DataFrame({"cause": "gear-transmission-error", "joint": 1, "position_mm": 500 * x, "here_um": 20 * x,
-                            "there_um": 30 * x})  # fmt: skip
+    sliding = pd.DataFrame({"cause": "gear-transmission-error", "joint": 1, "travel": 500 * x, "here": 20 * x,
+                            "there": 30 * x, "travel_unit": "mm"})  # fmt: skip
     axes = [one for one in two_series(pd.concat([turning, sliding], ignore_index=True)).axes if one.get_visible()]
     assert [(one.get_xlabel(), one.get_ylabel()) for one in axes] == [
         ("angle [deg]", "error [µrad]"),

@@ -25,7 +25,6 @@ from calflow.estimation.parameters import UNIT
 from calflow.estimation.smooth_functions import JointField
 from calflow.files.deferred import pd
 from calflow.files.tables import column, to_frame, typed
-from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements
 from calflow.observations import leading_units
 
@@ -194,14 +193,11 @@ class CurvePoint:
     variable: str = column("the variable that explains it, in words")
     variable_unit: str = column("of the variable; empty: none")
     x: float = column("the variable", "as `variable_unit` says")
-    before_mm: float = column("measured minus predicted, without this cause's contribution; empty: no lengths", "mm")
-    after_mm: float = column("the same with the whole extended model", "mm")
-    fitted_mm: float = column("the cause's contribution", "mm")
+    before: float = column("measured minus predicted, without this cause's contribution", "as `error_unit` says")
+    after: float = column("the same with the whole extended model", "as `error_unit` says")
+    fitted: float = column("the cause's contribution", "as `error_unit` says")
     pose: str = column("as in the measurements")
     split: str = column("train, holdout; empty: left out as faulty")
-    before: float = column("as before_mm, in `error_unit`")
-    after: float = column("as after_mm, in `error_unit`")
-    fitted: float = column("as fitted_mm, in `error_unit`")
     error_unit: str = column("the unit by which the model is judged: mm, or where no lengths were measured mrad, px, …")
 
 
@@ -217,7 +213,6 @@ def curves(final: Fitted, causes: Sequence[Cause], data: Measurements) -> pd.Dat
     whole = error_jacobian(turned, np.append(estimate, np.zeros(model.robot.n_joints)), data)
     jacobian, levers = np.split(whole, [len(estimate)], axis=2)
     unit = judged_unit(leading_units(data))
-    lengths = unit.scale if unit == METRE else np.nan
     blocks = []
     for cause in final.causes:
         columns = model.columns(cause)
@@ -230,7 +225,6 @@ def curves(final: Fitted, causes: Sequence[Cause], data: Measurements) -> pd.Dat
         block = {
             "finding": causes.index(cause) + 1, "cause": cause.id, "joint": cause.joint or None,
             "variable": variable.label, "variable_unit": variable.unit, "x": x,
-            "before_mm": lengths * (after + fitted), "after_mm": lengths * after, "fitted_mm": lengths * fitted,
             "before": unit.shown(after + fitted), "after": unit.shown(after), "fitted": unit.shown(fitted),
             "error_unit": unit.label,
             "pose": data.table["pose"], "split": data.table["split"],

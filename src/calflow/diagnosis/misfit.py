@@ -7,9 +7,8 @@ between eighths of the poses, and at each value of labels with few values.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 
@@ -17,7 +16,6 @@ from calflow.diagnosis.fitted import Fitted
 from calflow.estimation.accuracy import distances, errors, judged_unit
 from calflow.files.deferred import pd
 from calflow.files.tables import column
-from calflow.files.units import METRE
 from calflow.files.words import rounded
 from calflow.observations import leading_units
 
@@ -40,13 +38,9 @@ class MisfitRegion:
     high: float | None = column("end of the range", "as `unit` says", default=None)
     unit: str = column("of the range", default="")
     value: str = column("the payload, marker, device or session", default="")
-    there_mm: float | None = column(
-        "mean error of the training rows there; null: no lengths were measured", "mm", default=None
-    )
-    elsewhere_mm: float | None = column("mean error of the others", "mm", default=None)
-    error_unit: str = column("the unit of the errors: mm, mrad, px, …", default="mm")
-    there: float | None = column("as there_mm, in `error_unit` where that is another", default=None)
-    elsewhere: float | None = column("as elsewhere_mm, likewise", default=None)
+    error_unit: str = column("the unit of the errors: mm, mrad, px, …")
+    there: float = column("mean error of the training rows there", "as `error_unit` says")
+    elsewhere: float = column("mean error of the others", "as `error_unit` says")
 
     @property
     def is_of_measuring(self) -> bool:
@@ -65,10 +59,7 @@ class MisfitRegion:
     @property
     def words(self) -> str:
         """The region and its errors in words."""
-        suffix = "_mm" if self.error_unit == METRE.label else ""
-        there, elsewhere = (
-            f"{rounded(getattr(self, name + suffix))} {self.error_unit}" for name in ("there", "elsewhere")
-        )
+        there, elsewhere = (f"{rounded(error)} {self.error_unit}" for error in (self.there, self.elsewhere))
         return f"largest where {self.where}: {there} against {elsewhere} elsewhere"
 
 
@@ -163,12 +154,11 @@ def _region(candidate: _Input, inside: np.ndarray, fitted: Fitted) -> MisfitRegi
     unit = judged_unit(leading_units(fitted.data))
     size = unit.shown(distances(errors(fitted.model, fitted.fit.estimate, fitted.data)))
     there, elsewhere = float(np.nanmean(size[inside])), float(np.nanmean(size[~inside]))
-    suffix = "_mm" if unit == METRE else ""
-    figures: dict[str, Any] = {f"there{suffix}": there, f"elsewhere{suffix}": elsewhere, "error_unit": unit.label}
+    region = MisfitRegion(input=candidate.name, error_unit=unit.label, there=there, elsewhere=elsewhere)
+    values = candidate.values[inside]
     if candidate.is_label:
-        return MisfitRegion(input=candidate.name, value=str(candidate.values[inside][0]), **figures)
-    low, high = float(candidate.values[inside].min()), float(candidate.values[inside].max())
-    return MisfitRegion(input=candidate.name, low=low, high=high, unit=candidate.unit, **figures)
+        return replace(region, value=str(values[0]))
+    return replace(region, low=float(values.min()), high=float(values.max()), unit=candidate.unit)
 
 
 def _said(value: float | None) -> str:

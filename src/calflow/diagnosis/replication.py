@@ -26,7 +26,6 @@ from calflow.robot.mechanism import Row, State
 
 GRID = 400  # angles at which two curves are compared
 NAN = float("nan")
-CURVES = ("angle_deg", "here_urad", "there_urad", "position_mm", "here_um", "there_um")
 AGREE, AGREE_MAINLY = 0.95, 0.7  # correlations from which two curves count as the same, or nearly the same
 WIDE = 0.3  # share of a joint's travel that two series must have in common for a meaningful comparison
 
@@ -39,12 +38,11 @@ class ConfirmedCause:
     joint: int = column("its joint")
     correlation: float = column("of both curves over the common travel, beyond their first order", default=NAN)
     correlation_with_first_order: float = column("of the whole curves", default=NAN)
-    rms_here_urad: float = column("size of this series' curve beyond its first order", "urad", default=NAN)
-    rms_there_urad: float = column("the same of the other series", "urad", default=NAN)
-    common_deg: float = column("travel that both series cover", "deg", default=NAN)
-    rms_here_um: float = column("of a slide: as rms_here_urad", "um", default=NAN)
-    rms_there_um: float = column("of a slide: as rms_there_urad", "um", default=NAN)
-    common_mm: float = column("of a slide: travel that both series cover", "mm", default=NAN)
+    rms_here: float = column("size of this series' curve beyond its first order", "as `error_unit` says", default=NAN)
+    rms_there: float = column("the same of the other series", "as `error_unit` says", default=NAN)
+    common: float = column("travel that both series cover", "as `travel_unit` says")
+    error_unit: str = column("urad, of a slide um")
+    travel_unit: str = column("deg, of a slide mm")
     share_of_travel: float = column("the common travel as a share of this series' travel")
     words: str = column("the conclusion in words")
 
@@ -55,12 +53,11 @@ class ConfirmedPoint:
 
     cause: str = column("its id")
     joint: int = column("its joint")
-    angle_deg: float = column("of the joint", "deg")
-    here_urad: float = column("as fitted on this series", "urad")
-    there_urad: float = column("as fitted on the other series", "urad")
-    position_mm: float = column("of a slide", "mm")
-    here_um: float = column("of a slide: as fitted on this series", "um")
-    there_um: float = column("of a slide: as fitted on the other series", "um")
+    travel: float = column("the joint's angle, or position", "as `travel_unit` says")
+    here: float = column("as fitted on this series", "as `error_unit` says")
+    there: float = column("as fitted on the other series", "as `error_unit` says")
+    error_unit: str = column("urad, of a slide um")
+    travel_unit: str = column("deg, of a slide mm")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,14 +146,14 @@ def _compared(
     i = cause.joint - 1
     here, there = (m.joint_angles[:, i] for m in (fitted.data, data))
     unit, factor = data.robot.joints[i].shown
-    error = "urad" if unit == "deg" else "um"
+    error_unit = "urad" if unit == "deg" else "um"
     low, high = max(here.min(), there.min()), min(here.max(), there.max())
-    common = max(high - low, 0.0)
+    common = max(float(high - low), 0.0)
     share = float(common / max(np.ptp(here), 1e-9))
 
     def told(words: str, **figures: float) -> ConfirmedCause:
-        shown = {f"common_{unit}": factor * float(common), **figures}
-        return ConfirmedCause(cause=cause.id, joint=cause.joint, share_of_travel=share, words=words, **shown)
+        return ConfirmedCause(cause=cause.id, joint=cause.joint, common=factor * common, share_of_travel=share, words=words,
+                              error_unit=error_unit, travel_unit=unit, **figures)  # fmt: skip
 
     if matched is None or high <= low:
         few = f"does not cover joint {cause.joint} densely enough to see it"
@@ -176,13 +173,14 @@ def _compared(
         words = "the two series agree in the main: a part of at least one curve belongs to something else"
     else:
         words = "the two series do not agree: at least one curve holds what belongs to something else"
-    along = "angle_deg" if unit == "deg" else "position_mm"
-    shown = {along: factor * angle, f"here_{error}": 1e6 * first, f"there_{error}": 1e6 * second}
-    drawn = pd.DataFrame({"cause": cause.id, "joint": cause.joint, **dict.fromkeys(CURVES, NAN), **shown})
+    points = {
+        "cause": cause.id, "joint": cause.joint, "travel": factor * angle, "here": 1e6 * first, "there": 1e6 * second,
+        "error_unit": error_unit, "travel_unit": unit,
+    }  # fmt: skip
+    drawn = typed(pd.DataFrame(points), ConfirmedPoint)
     with_first_order = float(np.corrcoef(whole[0], whole[1])[0, 1])
-    figures = {f"rms_here_{error}": 1e6 * float(first.std()), f"rms_there_{error}": 1e6 * float(second.std())}
-    row = told(words, correlation=correlation, correlation_with_first_order=with_first_order, **figures)
-    return row, typed(drawn, ConfirmedPoint)
+    sizes = {"rms_here": 1e6 * float(first.std()), "rms_there": 1e6 * float(second.std())}
+    return told(words, correlation=correlation, correlation_with_first_order=with_first_order, **sizes), drawn
 
 
 def _beyond_first_order(values: np.ndarray, angle: np.ndarray) -> np.ndarray:

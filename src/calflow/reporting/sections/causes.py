@@ -26,7 +26,7 @@ from calflow.effects.wording import (
     readable_size,
 )
 from calflow.files.deferred import pd
-from calflow.files.units import METRE, MeasurementUnit
+from calflow.files.units import MeasurementUnit
 from calflow.files.words import chance, chance_figure, effect_words, first_up, listed, mm, number, rounded, sureness
 from calflow.reporting.advice import untestable
 from calflow.reporting.bars import evidence
@@ -346,7 +346,7 @@ def _curves(material: Material, finding: Finding) -> list[Block]:
 
 
 def _curve_figure(finding: Finding, rows: pd.DataFrame, number: int, error_unit: MeasurementUnit) -> Block:
-    errors = [f"{name}_mm" if error_unit == METRE else name for name in ("before", "after", "fitted")]
+    errors = ["before", "after", "fitted"]
     x, before, after, fitted = rows[["x", *errors]].to_numpy(dtype=float).T
     unit = "" if pd.isna(rows["variable_unit"].iloc[0]) else str(rows["variable_unit"].iloc[0])
     held, variable = (rows["split"] != "train").to_numpy(), str(rows["variable"].iloc[0])

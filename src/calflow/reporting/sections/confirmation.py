@@ -31,10 +31,9 @@ def two_series(curves: pd.DataFrame) -> Figure:
     rows = -(-len(groups) // COLUMNS)
     drawn, grid = panels(rows, COLUMNS, 1.9 * rows + 0.3)
     for axes, ((_, joint), curve) in zip(grid.flat, groups, strict=False):
-        slides = "position_mm" in curve and curve["position_mm"].notna().all()
-        along, unit = ("position_mm", "um") if slides else ("angle_deg", "urad")
-        axes.plot(curve[along], curve[f"here_{unit}"], color=DARK, label="here")
-        axes.plot(curve[along], curve[f"there_{unit}"], color=ACCENT, linestyle="--", label="the other series")
+        slides = (curve["travel_unit"] == "mm").all()
+        axes.plot(curve["travel"], curve["here"], color=DARK, label="here")
+        axes.plot(curve["travel"], curve["there"], color=ACCENT, linestyle="--", label="the other series")
         axes.set(title=f"joint {joint}", xlabel="position [mm]" if slides else "angle [deg]")
         if slides or axes in grid[:, 0]:
             axes.set_ylabel("error [µm]" if slides else "error [µrad]")
@@ -50,8 +49,8 @@ def confirmation_section(material: Material) -> list[Block]:
     curves = material.tables["diagnose/confirmation_curves.csv"]
     accuracy = material.results.rows("diagnose/confirmation_accuracy.csv", CarriedAccuracy)
     cells = [
-        (f"joint {cause.joint}", number(cause.correlation, ".3f"), _either(cause.rms_here_urad, cause.rms_here_um, "µm"),
-         _either(cause.rms_there_urad, cause.rms_there_um, "µm"), _either(cause.common_deg, cause.common_mm, "mm"), cause.words)
+        (f"joint {cause.joint}", number(cause.correlation, ".3f"), _cell(cause.rms_here, cause.error_unit),
+         _cell(cause.rms_there, cause.error_unit), _cell(cause.common, cause.travel_unit), cause.words)
         for cause in material.results.rows("diagnose/confirmation.csv", ConfirmedCause)
     ]  # fmt: skip
     header = ("joint", "correlation", "RMS here [µrad]", "RMS there [µrad]", "common range [deg]", "result")
@@ -80,6 +79,7 @@ def _carried(accuracy: Sequence[CarriedAccuracy]) -> str:
     return f"At the {n} held-out rows of the other series within the travel covered here the mean error is {', '.join(parts)}."
 
 
-def _either(revolute: float, slide: float, unit: str) -> str:
-    """Return a revolute joint's figure in the column's unit, or a slide's with its unit."""
-    return f"{slide:.0f} {unit}" if math.isfinite(slide) else number(revolute, ".0f")
+def _cell(figure: float, unit: str) -> str:
+    """Return a figure, of a slide with its unit, which is another than the column's."""
+    slide = {"um": " µm", "mm": " mm"}.get(unit, "") if math.isfinite(figure) else ""
+    return number(figure, ".0f") + slide
