@@ -424,7 +424,7 @@ def test_several_causes_told_as_one_curve_of_a_torque_say_so(small: Context) -> 
     found = replace(found, numbers=(1, 2))
     assert found.name == "nonlinear compliance of joint 2"
     certainty = name_certainty(found, found.kin)
-    assert "depends on the joint's torque" in certainty
+    assert "depends on the joint's load" in certainty
     assert certainty.endswith("its exact form or whether it is one cause or several.")
 
 

@@ -276,7 +276,7 @@ def _what(finding: Finding) -> str:
     if finding.of_family:
         best = f"{words.name} ({finding.detail})" if finding.detail else words.name
         family = cause_family(finding.cause)
-        turned = f"The angle of joint {finding.joint} is off by an amount that depends on {FORMS_OF_ONE[family]}"
+        turned = f"Joint {finding.joint} is off by an amount that depends on {FORMS_OF_ONE[family]}"
         off = turned if finding.joint else GIVES_WAY if family == OF_THE_TOOL else WANDERED
         return f"{off}; best described as {best}: {size}."
     title = first_up(words.what or words.name)
