@@ -377,10 +377,11 @@ def _apart(calibrated: CalibratedModel, beyond: np.ndarray) -> list[str]:
     if apart < WORTH_TELLING:
         return []
     return [
-        f"of the error to expect of the tools some {1e3 * apart:.1g} mm are how flange and marker lie to each other, which these "
-        "measurements do not tell better; at all targets it is the same in the tool's frame. State in the study what is known of "
-        f"the marker's place on the flange: [parameters.{marker}.z] with prior_mean_mm = 0, prior_sd_mm, and so on. How the flange "
-        "is turned, which matters more the farther a tool is from the marker, a second marker tells, far from the first"
+        f"of the error to expect of the tools some {1e3 * apart:.1g} mm come from how flange and marker lie to each other, which "
+        "these measurements do not tell better; at all targets it is the same in the tool's frame. State in the study what is "
+        f"known of the marker's place on the flange: [parameters.{marker}.z] with prior_mean_mm = 0, prior_sd_mm, and so on. A "
+        "second marker, far from the first, shows how the flange is turned, which matters more the farther a tool is from the "
+        "marker"
     ]
 
 
