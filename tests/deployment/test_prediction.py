@@ -248,7 +248,7 @@ def lost(finished):
 @pytest.mark.parametrize(
     ("happened", "expected"),
     [
-        (no_run, "holds no run: expected a folder that 'calflow run' has filled"),
+        (no_run, "no such folder: expected a folder that 'calflow run' has filled"),
         (select_alone, "holds no identified robot: identify was never run"),
         (another_robot, "holds no identified robot: the robot file changed after identify ran"),
         (failed_since, "holds no identified robot: identify did not finish (failed)"),
