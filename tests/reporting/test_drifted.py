@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from calflow.deployment import drift as verdict
 from calflow.deployment.drift import Drift, DriftSummary, Moved, Recalibrated, SettlingPose
-from calflow.reporting.drift_report import drift_lines
+from calflow.reporting.drift_report import drift_lines, seen_from
+
+SUMMARY = DriftSummary(
+    status="moved", false_alarm=0.01, family_p=1e-9, unexplained_p=0.5, poses=8, sessions=1, station="known",
+    error_mm=0.25, left_mm=0.08, expected_mm=0.09, unseen_mm=0.1, usual_mm=2.0, chance=None,
+)  # fmt: skip
 
 
 def told(rivals: tuple[str, ...], since: str, before: str, chance: float | None, sessions: int = 3) -> str:
@@ -23,10 +30,7 @@ def told(rivals: tuple[str, ...], since: str, before: str, chance: float | None,
         sds=(1e-9,), p=1e-8, probability=0.03, limits=(1e-8,),
     )  # fmt: skip
     pose = SettlingPose(readings={"q1_deg": 1.0}, payload="full", marker="E")
-    summary = DriftSummary(
-        status="moved", false_alarm=0.01, family_p=1e-9, unexplained_p=0.5, poses=8, sessions=sessions, station="known",
-        error_mm=0.25, left_mm=0.08, expected_mm=0.09, unseen_mm=0.1, usual_mm=2.0, chance=chance,
-    )  # fmt: skip
+    summary = replace(SUMMARY, sessions=sessions, chance=chance)
     return " ".join(drift_lines(Drift((moved,), (shift,), (other,), (), (pose,) * 4, summary)))
 
 
@@ -47,3 +51,18 @@ def test_the_verdict_says_since_when_what_to_correct_and_what_would_settle_it(
 ):
     """Fails if dates, the correction, rivals in words that a user has, or the poses that settle it are not told."""
     assert words in told(rivals, since, before, chance, sessions)
+
+
+def test_a_joint_whose_shift_no_size_reveals_is_told_as_that():
+    """Fails if a limit of half a turn, or none, reads as if any shift were found."""
+    zeros = tuple(
+        verdict.TestedMovement(
+            movement=f"joint{joint}.zero", kind="zero", meaning="", joint=joint, units=("rad",), shifts=(0.0,), sds=(1.0,), p=1.0,
+            probability=0.0, limits=(limit,),
+        )
+        for joint, limit in ((1, float("inf")), (2, 8.4e-5), (3, 2.2))
+    )  # fmt: skip
+    assert seen_from(Drift((), (), zeros, (), (), SUMMARY)) == (
+        "A shift of a joint's zero would be found in 95 of 100 checks from this size on: joint 2: 0.084 mrad. No shift of joints 1 "
+        "and 3 would be found."
+    )

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from calflow.deployment.drift import Drift, Moved, Recalibrated, Status
-from calflow.files.words import first_up, listed, mm, plural, quantity, readable, rounded, with_sd
+from calflow.files.words import first_up, listed, mm, plural, plural_word, quantity, readable, rounded, with_sd
 from calflow.reporting.advice import after_drift
 from calflow.reporting.blocks import NEXT, Paragraph, Part, Plot, Table, cover, headed, in_a_line, noted
 from calflow.reporting.style import ACCENT, DARK, MIDDLE, chart, name_poses
@@ -19,6 +19,7 @@ VERDICTS: dict[Status, str] = {
     "cannot be told": "The check poses are off, but do not show what has moved.",
 }
 MOVEMENTS_SHOWN = 12  # movements in the table of what was tested
+SMALL = 0.1  # rad or m up to which a shift counts as small, as the test takes it
 SMALL_SHARE = 1e-3  # below which a share is stated in millionths
 SURE_OF_MOVEMENT = 0.95  # probability above which a movement is named without reservation
 EACH_ALONE = (
@@ -99,12 +100,18 @@ def _shift(row: Recalibrated) -> str:
 
 
 def seen_from(drift: Drift) -> str:
-    """Return words on the detection limits of joint zeros."""
-    limits = []
+    """Return words on the detection limits of joint zeros; joints whose shift no size reveals are named apart."""
+    limits, hidden = [], []
     for zero in sorted((one for one in drift.candidates if one.kind == "zero"), key=lambda zero: zero.joint or 0):
         (factor, unit), limit = readable(zero.units[0]), zero.limits[0]
-        limits.append(f"{zero.joint}: {f'{rounded(factor * limit, 2)} {unit}' if np.isfinite(limit) else 'any'}")
-    return f"A shift of a joint's zero would be found in 95 of 100 checks from this size on: joint {', '.join(limits)}."
+        if limit < SMALL:
+            limits.append(f"{zero.joint}: {rounded(factor * limit, 2)} {unit}")
+        else:
+            hidden.append(zero.joint)
+    found = "A shift of a joint's zero would be found in 95 of 100 checks from this size on"
+    seen = [f"{found}: joint {', '.join(limits)}."] if limits else []
+    unseen = [f"No shift of {plural_word(hidden, 'joint')} {listed(hidden)} would be found."] if hidden else []
+    return " ".join([*seen, *unseen])
 
 
 def _recalibration(drift: Drift) -> Table:
