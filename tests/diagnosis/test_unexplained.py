@@ -68,6 +68,13 @@ def test_a_slow_drift_is_no_wave_between_two_poses():
     )
 
 
+def test_a_period_is_told_in_the_unit_that_fits_it():
+    """Fails if the hours of a working cycle are told as thousands of seconds, or a wave of half a minute in hours."""
+    robot = fitted().model.robot
+    told = [Oscillation(robot, 2 * np.pi / period).detail for period in (36.0, 3290.0)]
+    assert told == ["period 36 s", "period 0.91 h"]
+
+
 def test_a_step_of_several_joints_is_told_from_its_row_on():
     """Fails if what sets in at a row, and no single joint or tool does, is told without the row."""
     model = build(industrial(), ("geometry",))

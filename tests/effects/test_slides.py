@@ -34,6 +34,14 @@ GANTRY = Robot(
     payloads={"load": Payload(5.0, (0, 0, 0.1))},
     markers={"tool": Marker((0.05, 0, 0.1))},
 )  # fmt: skip
+LIFT_ABOVE = Robot(
+    [
+        Joint(modified_dh(), limits=(-3, 3)),
+        Joint(modified_dh(alpha=np.pi / 2, a=0.2), kind="prismatic", limits=(0, 1)),
+        Joint(modified_dh(alpha=np.pi / 2, a=0.3), limits=(-3, 3)),
+    ],
+    markers={"tool": Marker((0.05, 0, 0.1))},
+)
 SLIDES = (1, 2, 5)
 UNITS = {  # of a slide's parameters and of a turning joint's
     "joint-backlash": ({"m"}, {"rad"}),
@@ -52,6 +60,13 @@ UNITS = {  # of a slide's parameters and of a turning joint's
     "gravity-compensator": (set(), set()),
     "wrist-coupling": ({"m/rad"}, {"1", "rad/m"}),
 }
+
+
+def test_a_slides_figures_are_told_by_what_they_do():
+    """Fails if the turn about a slide, which no reading changes, is called the joint's zero, or its zero a length."""
+    said = {f"{p.part}.{p.symbol}": p.meaning for p in catalogue()["geometry"](LIFT_ABOVE).parameters()}
+    assert (said["joint2.theta"], said["joint2.d"]) == ("turn of link 2 about its slide", "zero of joint 2")
+    assert (said["joint3.theta"], said["joint3.d"]) == ("zero of joint 3", "length d of link 3")
 
 
 @pytest.mark.parametrize("name", UNITS)

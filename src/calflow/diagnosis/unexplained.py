@@ -61,6 +61,7 @@ MOMENTS = 20  # parts of the rows, between which a slip may have occurred
 FREQUENCIES = 800  # of a disturbance in time, at most
 # Highest frequency, in cycles per pose: uneven times resolve more than one cycle between poses (Lomb 1976).
 FASTEST = 2.0
+LONG = 600.0  # s: periods from here on are told in hours
 RESOLUTION = 32  # parts of the mean time between poses in which times are told apart
 FORGOTTEN, RECURRED = 0.5, 0.9  # spectral window below which two rates differ, and above which they look alike again
 MOST_POSES = 200  # poses at which the errors of standstills are estimated
@@ -253,7 +254,8 @@ class Oscillation(SmoothFunction):
     @property
     def detail(self) -> str:
         """The period in words."""
-        return f"period {2 * np.pi / self.rate:.3g} s"
+        period = 2 * np.pi / self.rate
+        return f"period {period:.3g} s" if period < LONG else f"period {period / 3600:.2g} h"
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
         """Return the shifted point."""

@@ -92,9 +92,10 @@ class StandGrowth(DeviceGrowth):
     turning: bool = False
 
     id = "stand-growth"
-    title = "growth of the device's stand"
+    title = "growth of the device's stand or the robot's foot"
     words = Words(
-        "growth of the device's stand", "the device's stand, or the robot's foot, follows the temperature, or settles"
+        "growth of the device's stand or the robot's foot",
+        "the device's stand, or the robot's foot, follows the temperature, or settles",
     )
     readable = {"m/K": (1e6, "µm per °C"), "rad/K": (1e6, "µrad per °C")}
     course = "settling"

@@ -42,6 +42,7 @@ FIGURES = {  # by symbol of an elementary transform of a frame
     "ry": "tilt of the axis of joint {link} about y of its frame",
     "rz": "tilt of the axis of joint {link} about z of its frame",
 }
+OF_A_SLIDE = {"theta": "turn of link {link} about its slide", "d": "zero of joint {link}"}  # it moves along d
 
 
 @dataclass(frozen=True)
@@ -147,8 +148,9 @@ def _base(robot: Robot) -> Iterator[DimensionError]:
 
 def _links(robot: Robot, unstated: Sequence[str]) -> Iterator[DimensionError]:
     for i, (frame, place) in enumerate(zip(robot.frames, robot.places, strict=True)):
+        figures = FIGURES | OF_A_SLIDE if robot.joints[i].kind == "prismatic" else FIGURES
         for step in frame.free(place):
-            words = FIGURES.get(step.symbol, f"{step.symbol} of the frame of joint {{link}}").format(
+            words = figures.get(step.symbol, f"{step.symbol} of the frame of joint {{link}}").format(
                 link=i + 1, before=robot.parents[i]
             )
             free = step.symbol in unstated and step.symbol not in _with_flange(robot, i + 1)
