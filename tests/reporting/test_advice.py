@@ -659,11 +659,13 @@ def test_headline_says_where_the_error_was_measured() -> None:
     )
     assert "none were held out" in of("train", before, after)
     assert "reduces" not in of("holdout", after, before)
-    assert "the error from 12.50 mm (30.46 mm with what the measuring device adds) to" in of(
+    assert "the error from 12.50 mm (30.46 mm as measured, with what the device adds or is over since) to" in of(
         "holdout", before, after, alone=12.5
     )
     assert "device" not in of("holdout", before, after, alone=30.4)
-    assert "(30.46 mm with what the measuring device adds)" in of("holdout", before, after, alone=30.4, largest=41.0)
+    assert "(30.46 mm as measured, with what the device adds or is over since)" in of(
+        "holdout", before, after, alone=30.4, largest=41.0
+    )
 
 
 def test_a_contradicted_noise_is_the_first_thing_said() -> None:

@@ -61,7 +61,7 @@ CAPPED = (
     "found."
 )
 FITTED = "used for the fit (none were held out)"
-DEVICE = 0.01  # share of the error from which it is said what the measuring device adds
+DEVICE = 0.01  # share of the error from which the error as measured is said, too
 LEFT_OPEN, CAUSES_LISTED = 4, 4  # open questions and causes on the first page
 RARE = 0.05  # p-value below which chance is unlikely
 LASTING = 1.5  # growth of the promised error within a day up to which the first page does not state it
@@ -259,7 +259,7 @@ def headline(outcome: RunOutcome) -> str:
         return f"At poses {seen}, the nominal robot is off by {mm(before)} {unit} on average."
     verb, (whole, _, most) = "reduces" if now < before else "increases", steps[0].figures
     apart = abs(whole - before) > DEVICE * whole or abs(most - most_before) > DEVICE * most
-    device = f" ({mm(whole)} {unit} with what the measuring device adds)" if apart else ""
+    device = f" ({mm(whole)} {unit} as measured, with what the device adds or is over since)" if apart else ""
     return (
         f"At poses {seen}, calibration {verb} the error from {mm(before)} {unit}{device} to {mm(now)} {unit} "
         f"on average, and the largest from {mm(most_before)} {unit} to {mm(most_now)} {unit}."
