@@ -19,7 +19,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from calflow.files.data_package import DATA_PACKAGE, data_package
 from calflow.files.plugins import packages
-from calflow.files.problems import Problem, nearest_file, refuse, refuse_any
+from calflow.files.problems import InputError, Problem, nearest_file, refuse, refuse_any
 from calflow.files.tables import SUM, Results, checksum_matches, read_csv, with_checksum, write_results
 from calflow.files.toml import read_toml
 from calflow.files.writing import contained, write_text, write_whole
@@ -168,8 +168,7 @@ def manifest_of(folder: Path) -> Manifest:
         InputError: the folder holds no run, or as for `read_manifest`.
     """
     if (manifest := read_manifest(folder)) is None:
-        found = "holds no run" if folder.exists() else f"no such folder{nearest_file(folder)}"
-        raise refuse(f"{found}: expected a folder that 'calflow run' has filled", folder)
+        raise _no_run(folder, "expected a folder that 'calflow run' has filled")
     return manifest
 
 
@@ -187,6 +186,12 @@ def default_folder(study: Study) -> Path:
     return Path("runs") / study.name
 
 
+def _no_run(folder: Path, expected: str) -> InputError:
+    """Return the error for a folder that holds no run, or is not there."""
+    found = f"holds no run: {expected}" if folder.exists() else f"no such folder: {expected}{nearest_file(folder)}"
+    return refuse(found, folder)
+
+
 def run_folder(study_or_run: Path) -> Path:
     """Return the run folder, given itself, its study file or that file's folder; it may not exist yet.
 
@@ -197,8 +202,7 @@ def run_folder(study_or_run: Path) -> Path:
         return study_or_run
     is_study = study_or_run.suffix == ".toml" or study_or_run.is_file() or (study_or_run / "study.toml").exists()
     if not is_study:
-        found = "holds no run" if study_or_run.exists() else f"no such folder{nearest_file(study_or_run)}"
-        raise refuse(f"{found}: expected a folder that 'calflow run' has filled, or a study", study_or_run)
+        raise _no_run(study_or_run, "expected a folder that 'calflow run' has filled, or a study")
     return default_folder(load_study(study_or_run))
 
 

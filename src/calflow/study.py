@@ -539,8 +539,8 @@ def study_path(path: Path) -> Path:
 def _read_study(path: Path) -> StudyFile:
     """Return the content of a study file; refuse other files with a message that says what they are."""
     if not path.suffix and not os.path.exists(path):
-        found = f"no such file or folder in {Path.cwd()}{nearest_file(path)}"
-        raise refuse(f"{found}: expected a study's folder, or its file", path)
+        expected = f"expected a study's folder, or its file{nearest_file(path)}"
+        raise refuse(f"no such file or folder in {Path.cwd()}: {expected}", path)
     if path.name == "study.toml" and os.path.isdir(path.parent) and not path.exists():
         others = " or ".join(str(file) for file in sorted(path.parent.glob("*.toml")) if _may_be_study(file))
         expected = others or f"a study in folder {path.parent}; calflow new writes one"

@@ -226,6 +226,14 @@ def select_alone(finished):
     assert finished.calflow("run", "--stage", "select").code == 0
 
 
+def test_a_run_that_is_not_there_is_not_said_to_be_empty(finished):
+    """Fails if a misspelt run folder is taken for one without a run, or the one that was meant is not named."""
+    (told,) = finished.refused("predict", finished / "rusn", finished / "measurements.csv")
+    assert told.endswith(
+        "no such folder: expected a folder that 'calflow run' has filled, or a study, did you mean 'runs'?"
+    )
+
+
 def another_robot(finished):
     finished.edit("robot.toml", ("a_mm = 100", "a_mm = 101"))
     assert finished.calflow("run", "--stage", "select").code == 0

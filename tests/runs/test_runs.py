@@ -603,6 +603,13 @@ def test_a_file_as_run_folder_is_refused(small):
     assert told == "robot.toml: is a file; expected a run folder, which may not exist yet"
 
 
+def test_a_run_is_not_put_into_its_study_s_folder(small):
+    """Fails if a study's folder becomes a run folder, which every command then takes for the run, whatever is run later."""
+    (told,) = small.refused("run", "--out", small.path)
+    assert "is the study's own folder; expected another for the run" in told
+    assert not (small / "manifest.json").exists()
+
+
 @pytest.mark.parametrize(
     ("name", "column"),
     [("parameters", "estimate"), ("parameters", "parameter"), ("covariance", "parameter"), ("noise", "source"),

@@ -142,6 +142,8 @@ def plan(study: Study, folder: Path, only: str | None = None, force: bool = Fals
     """
     if folder.exists() and not folder.is_dir():
         raise refuse("is a file; expected a run folder, which may not exist yet", folder)
+    if folder.resolve() == study.path.parent.resolve():
+        raise refuse("is the study's own folder; expected another for the run, such as one in it", folder)
     manifest = read_manifest(folder)
     before = manifest.stages if manifest else {}
     stages, optional = _planned_stages(study, before, only)
