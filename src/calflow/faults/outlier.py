@@ -56,6 +56,7 @@ ODD_ROW_FALSE_ALARM = 1 / 500  # false-alarm rate per gap; below 1 / 300 for all
 REMOVED, LEAST_REMOVED = 0.1, 3  # largest share and number of rows tested against the others
 GAPS = 3  # number of gaps tried
 TAIL_DEGREES = (2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 8.0, 11.0, 15.0, 22.0, 35.0, 60.0, 1e3)  # of Student's t, candidates
+TAIL_STEPS = 8  # Newton's, more than its scale needs
 DOUBT = 2.0  # fall of twice the log-likelihood within which heavier tails are considered
 MIN_TAIL_VALUES = 60  # least number of values for a tail
 TINY = 1e-12  # standard deviations: below it residuals are rounding
@@ -272,42 +273,36 @@ def limit_of_length(values: np.ndarray) -> float:
     most = max(LEAST_REMOVED, round(REMOVED * n_rows))
     ratio = length[order[:most]] / np.maximum(length[order[1 : most + 1]], TINY)
     for removed in sorted(1 + np.argsort(ratio)[::-1][:GAPS], reverse=True):
-        limit = _limit(np.sort(np.abs(values[order[removed:]]).ravel()), size, n_rows)
+        limit = _limit(np.abs(values[order[removed:]]).ravel(), size, n_rows)
         if length[order[removed - 1]] > limit:
             return limit
     return np.inf
 
 
 def _limit(good: np.ndarray, size: int, rows: int) -> float:
-    """Return the limit for so many rows of size values each, by the tail of the good values' sorted magnitudes (n,)."""
-    fitted = [_fitted(good, degrees) for degrees in TAIL_DEGREES]
-    best = min(cost for cost, _ in fitted)
-    degrees, scale = next(
-        (degrees, scale)
-        for degrees, (cost, scale) in zip(TAIL_DEGREES, fitted, strict=True)
-        if 2 * (cost - best) <= DOUBT
-    )
+    """Return the limit for so many rows of size values each, by the tail of the good values' magnitudes (n,)."""
+    cost, scales = _tails(good)
+    heaviest = int(np.argmax(2 * (cost - cost.min()) <= DOUBT))
     chance = ODD_ROW_FALSE_ALARM / rows
-    tail = scipy.stats.t(degrees) if degrees < TAIL_DEGREES[-1] else scipy.stats.norm
-    alone = tail.isf(chance / (2 * size))
-    return float(scale * max(scipy.stats.chi.isf(chance, size), TOGETHER * alone))
+    alone = -scipy.special.stdtrit(TAIL_DEGREES[heaviest], chance / (2 * size))
+    return float(scales[heaviest] * max(np.sqrt(scipy.special.chdtri(size, chance)), TOGETHER * alone))
 
 
-def _fitted(good: np.ndarray, degrees: float) -> tuple[float, float]:
-    """Return minus the log-likelihood and the scale of Student's t fitted to sorted magnitudes (n,)."""
-
-    def cost(log_scale: float) -> float:
-        inside = len(good) * (constant - log_scale)
-        return -float(inside - (degrees + 1) / 2 * np.log1p(squared / np.exp(2 * log_scale)).sum())
-
+def _tails(good: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return minus the log-likelihood and the scale of Student's t of each of `TAIL_DEGREES` fitted to magnitudes (n,)."""
+    degrees = np.array(TAIL_DEGREES)[:, None]
     squared = good**2 / degrees
+    middle = np.log(max(float(np.median(good)), TINY) / scipy.special.stdtrit(degrees, 0.75))
+    log_scale = middle
+    for _ in range(TAIL_STEPS):  # Newton's: the slope vanishes where the mean share is that of the scale's own t
+        share = squared / (squared + np.exp(2 * log_scale))
+        slope = (degrees + 1) * share.mean(axis=1, keepdims=True) - 1
+        curvature = 2 * (degrees + 1) * (share * (1 - share)).mean(axis=1, keepdims=True)
+        log_scale = np.clip(log_scale + slope / np.maximum(curvature, TINY), middle - 1.0, middle + 1.0)
     log_gamma = scipy.special.gammaln
     constant = log_gamma((degrees + 1) / 2) - log_gamma(degrees / 2) - np.log(degrees * np.pi) / 2
-    middle = np.log(max(float(np.median(good)), TINY) / scipy.stats.t.isf(0.25, degrees))
-    minimum = scipy.optimize.minimize_scalar(
-        cost, bounds=(middle - 1.0, middle + 1.0), method="bounded", options={"xatol": 1e-3}
-    )
-    return float(minimum.fun), float(np.exp(minimum.x))
+    tail = (degrees + 1) / 2 * np.log1p(squared / np.exp(2 * log_scale)).mean(axis=1, keepdims=True)
+    return len(good) * (log_scale + tail - constant)[:, 0], np.exp(log_scale)[:, 0]
 
 
 def odd_rows(result: Fit, data: Measurements, studentised: Studentised) -> tuple[np.ndarray, tuple[Fault, ...]]:
