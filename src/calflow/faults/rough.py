@@ -46,7 +46,7 @@ def robust_fit(
     estimate = start
     least = np.where(model.bounds[:, 0] == model.nominal, mean, -np.inf)
     every = np.flatnonzero(sd)
-    free = np.ones(len(every), dtype=bool)
+    free, prior = np.ones(len(every), dtype=bool), np.eye(len(every))
     for _ in range(LINEARISED):
         position, jacobian = model.position_and_jacobian(estimate, conditions)
         left = measured - position
@@ -59,12 +59,12 @@ def robust_fit(
         for _ in range(REWEIGHTED):
             weight = np.repeat(1 / (1 + (lengths(error) / (WIDTH * scale)) ** 2) / scale**2, 3)
             weighted = scaled * weight[:, None]
-            data_only, gradient = weighted.T @ scaled, weighted.T @ left.ravel() + aside
-            information = data_only + np.eye(len(every))
-            step[acting] = np.linalg.solve(information[moving], gradient[acting])
+            information, gradient = weighted.T @ scaled + prior, weighted.T @ left.ravel() + aside
+            uncertain = np.linalg.inv(information[moving])
+            step[acting] = uncertain @ gradient[acting]
             moved = (scaled @ step).reshape(left.shape)
             error = left - moved
-            scale = _scale(error, np.trace(np.linalg.solve(information[moving], data_only[moving])) / left.size)
+            scale = _scale(error, (len(uncertain) - uncertain.trace()) / left.size)
         estimate = estimate.copy()
         estimate[every] += step * sd[every]
         pushed = estimate < least
@@ -76,7 +76,7 @@ def robust_fit(
         free = acting ^ changed
     covariance = np.zeros((len(sd), len(sd)))
     fitted = every[acting]
-    covariance[np.ix_(fitted, fitted)] = np.linalg.inv(information[moving]) * np.outer(sd[fitted], sd[fitted])
+    covariance[np.ix_(fitted, fitted)] = uncertain * np.outer(sd[fitted], sd[fitted])
     # A compliance held at zero was free in the prior, too: the data determine it as well.
     volume = -float(np.linalg.slogdet(information)[1]) / 2
     return estimate, covariance, volume, scale
@@ -135,7 +135,8 @@ def split_errors(plain: np.ndarray, other: np.ndarray, rows: np.ndarray) -> tupl
 
 def lengths(vectors: np.ndarray) -> np.ndarray:
     """Return the lengths (…) of vectors (…, 3); infinite for nan."""
-    return np.nan_to_num(np.sqrt((vectors**2).sum(axis=-1)), nan=np.inf)
+    length = np.sqrt(np.einsum("...i,...i->...", vectors, vectors))
+    return np.where(np.isnan(length), np.inf, length)
 
 
 def level(error: np.ndarray) -> np.ndarray:

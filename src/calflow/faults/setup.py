@@ -60,6 +60,7 @@ class AllDimensions(Geometry):
 class Setup:
     """A model with a prior, and some rows: packed conditions (n_conditions, n_rows) and positions (n_rows, 3) [m].
 
+    links: the model without what gives way, which needs no loads, most of the work;
     mean, sd (n_parameters,): the prior, in SI, with sd 0 for fixed parameters;
     turn (3, 3), origin (3,): the stated base pose, None if unknown; stated: indices of the parameters of stated base and
     marker positions. numbers (n_rows,): indices of the rows; seen (n_poses,): number of markers at each of their poses;
@@ -67,6 +68,7 @@ class Setup:
     """
 
     model: Model
+    links: Model
     mean: np.ndarray
     sd: np.ndarray
     stated: tuple[int, ...]
@@ -85,7 +87,7 @@ class Setup:
         turn = FrameOrigin(rpy=vector(-np.array(base.rotation))).rotation.T if base.known else None
         origin = np.array(base.origin) if base.known else None
         model = _model(with_markers(data.robot, data.only(data.train)), data.given, beside)
-        return Setup(model, *_prior(model, base.known), turn, origin, *_at(data, _training_rows(data)))
+        return Setup(model, _links(model), *_prior(model, base.known), turn, origin, *_at(data, _training_rows(data)))
 
     def on(self, data: Measurements) -> Setup:
         """Return the set-up with some training rows of other data of the robot."""
@@ -123,7 +125,7 @@ class Setup:
         """Return the set-up with another robot of the same joints, payloads and markers."""
         model = _model(robot, self.model.given)
         mean, sd, stated = _prior(model, self.turn is not None)
-        return replace(self, model=model, mean=mean, sd=sd, stated=stated)
+        return replace(self, model=model, links=_links(model), mean=mean, sd=sd, stated=stated)
 
     @property
     def restated(self) -> Setup:
@@ -165,8 +167,11 @@ class Setup:
 
     @cached_property
     def rigid(self) -> Setup:
-        """The set-up in which only base, tool and freed dimensions are fitted."""
-        return replace(self, sd=np.where(self.sd >= STATED_SD, self.sd, 0.0))
+        """The set-up of the links alone in which only base, tool and freed dimensions are fitted."""
+        there = {p.identity for p in self.links.parameters}
+        kept = [k for k, p in enumerate(self.model.parameters) if p.identity in there]
+        sd = self.sd[kept]
+        return replace(self, model=self.links, mean=self.mean[kept], sd=np.where(sd >= STATED_SD, sd, 0.0))
 
     @property
     def without_springs(self) -> Setup:
@@ -176,7 +181,7 @@ class Setup:
 
     def points(self) -> np.ndarray:
         """Return the markers' nominal positions (n_rows, 3) [m] in the base frame; nan if a loop cannot be closed."""
-        return self.model.position(self.mean, self.conditions)
+        return self.links.position(self.rigid.mean, self.conditions)
 
     @cached_property
     def fitted(self) -> FittedSetup:
@@ -207,6 +212,11 @@ def _model(robot: Robot, given: tuple[str, ...], beside: tuple[Effect, ...] = ()
     loads = [PayloadMass(robot)] if robot.has_masses and any(load.mass for load in robot.payloads.values()) else []
     effects = (AllDimensions(robot), *loads, *springs, *(replace(effect, robot=robot) for effect in beside))
     return Model(robot, effects, given)
+
+
+def _links(model: Model) -> Model:
+    """Return a model without the effects that give way, which move nothing at their means."""
+    return replace(model, effects=tuple(effect for effect in model.effects if not effect.gives_way))
 
 
 def _prior(model: Model, known: bool) -> tuple[np.ndarray, np.ndarray, tuple[int, ...]]:

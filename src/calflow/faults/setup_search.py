@@ -103,7 +103,7 @@ def told(
 
 def _screened(data: Measurements, setup: Setup) -> list[Mistake]:
     """Return the mistakes without which the nominal links, with base and tool fitted, agree best with the positions."""
-    few = setup.at(data, spaced(setup.numbers, SCREENED))
+    few = setup.at(data, spaced(setup.numbers, SCREENED)).rigid
     discrete = [*mistakes(data, setup)]
     without = [mistake.undo(few).registered.rigid for mistake in discrete]
     points = np.stack([undone.points() for undone in without])
@@ -111,7 +111,7 @@ def _screened(data: Measurements, setup: Setup) -> list[Mistake]:
     error = level(motion(points, positions)[2])
     nearest = np.argsort(error)[:PLACED]
     explained = [(without[k].fitted, discrete[k]) for k in nearest]
-    explained += [(mistake.undo(few).rigid.fitted, mistake) for mistake in LinkDimensions(data, setup).mistyped()]
+    explained += [(mistake.undo(few).fitted, mistake) for mistake in LinkDimensions(data, setup).mistyped()]
     explained.sort(key=lambda pair: -(pair[0].evidence + pair[1].log_prior))
     return [mistake for _, mistake in explained[:FITTED]]
 
