@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any, ClassVar, TypeVar
 
 import casadi as ca
@@ -103,6 +103,18 @@ class Basis:
     quantity: np.ndarray
     column: np.ndarray
 
+    @cached_property
+    def first(self) -> np.ndarray:
+        """The index of each parameter's first slope."""
+        return np.flatnonzero(np.diff(self.column, prepend=-1))
+
+    @cached_property
+    def columns(self) -> np.ndarray | slice:
+        """The parameters' columns, as a slice where they are consecutive, to which NumPy writes in a third of the time."""
+        columns = self.column[self.first]
+        dense = len(columns) and columns[-1] - columns[0] == len(columns) - 1
+        return slice(int(columns[0]), int(columns[-1]) + 1) if dense else columns
+
 
 @dataclass(frozen=True, eq=False)
 class Probe:
@@ -168,10 +180,9 @@ class Probe:
                     for basis in self.bases:
                         moved = np.take(levers, basis.quantity, axis=2)
                         moved *= over_rows(basis.function, np.zeros(0), state[0], part.conditions)[0].T[:, None]
-                        first = np.flatnonzero(np.diff(basis.column, prepend=-1))
-                        if len(first) < len(basis.column):  # else the sums are of one each
-                            moved = np.add.reduceat(moved, first, axis=2)
-                        slopes[:, :, n + basis.column[first]] = moved
+                        if len(basis.first) < len(basis.column):  # else the sums are of one each
+                            moved = np.add.reduceat(moved, basis.first, axis=2)
+                        slopes[:, :, n:][:, :, basis.columns] = moved
                     slopes[:, :, n + foreign] = 0.0
                 rows, start = slice(start, start + left.size), start + left.size
                 yield rows, part.decorrelated(left.T).ravel(), part.decorrelated(slopes).reshape(-1, self.shape[1])
