@@ -299,5 +299,5 @@ def _screened(bare: Bare, residual: np.ndarray, others: Sequence[np.ndarray] = (
     jacobian = np.column_stack([plain.jacobian, *others])
     return Screening(replace(
         plain, residual=-residual, pull=np.zeros(jacobian.shape[1]), prior_rss=0.0, jacobian=jacobian,
-        precision=np.append(plain.precision, np.zeros(len(others))), added_up=None,
+        precision=np.append(plain.precision, np.zeros(len(others))),
     ))  # fmt: skip

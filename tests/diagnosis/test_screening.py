@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from scipy.stats import binom, kstest
 
-from calflow.diagnosis.regressors import Background, RegressorProducts, Regressors
+from calflow.diagnosis.regressors import Background, Regressors
 from calflow.diagnosis.screening import Catalogue, Screening
 from calflow.diagnosis.stepwise import CauseAcceptance
+from calflow.diagnosis.sweep import Swept
 from calflow.effects import catalogue
 from calflow.effects.cause import Cause
 from calflow.estimation.fit import fit
@@ -88,23 +89,35 @@ def test_what_geometry_imitates_is_not_tested(regressors):
     assert {"joint-eccentricity", "gear-ratio-error", "bearing-compliance"} <= shown
 
 
-def test_sums_without_a_parameter_are_those_of_the_rows(regressors):
-    """Fails if what was added up once is not what the rows of the model without some parameters add up to."""
+def test_a_swept_model_tests_as_a_new_one_does(regressors):
+    """Fails if tests without some parameters, and with candidates as others, are not those of the model that is factored anew."""
     rng = np.random.default_rng(6)
     modes = np.linalg.qr(rng.standard_normal((len(regressors.residual), 3)))[0]
     background = Background((), (), modes, np.ones(len(modes)), 18.0, 8)
     whole = regressors.beside(background, background.weight)
-    less = whole.without(np.array([1, 4]), np.array([2e-3, -1e-3]))
-    for one, other in zip(vars(less.products).values(), vars(RegressorProducts.of(less)).values(), strict=True):
-        assert np.allclose(one, other, rtol=1e-9, atol=1e-12 * np.abs(other).max())
+    value = np.array([2e-3, -1e-3])
+    pull = whole.pull.copy()
+    pull[[1, 4]] = whole.precision[[1, 4]] * value
+    tested, none = np.arange(0, len(whole.candidates), 2), np.zeros(0, dtype=int)
+    added = whole.candidates[1].columns
+    for gone, come in (([1, 4], none), (none, added), ([1, 4], added)):
+        estimate = value if len(gone) else np.zeros(0)
+        swept = Swept(Screening(replace(whole, pull=pull)), tested, np.array(gone), estimate, come)
+        anew = {score.cause: score for score in swept.model.scores}
+        assert swept.chi2 == pytest.approx(swept.model.chi2)
+        assert swept.degrees_of_freedom == pytest.approx(swept.model.degrees_of_freedom)
+        assert swept.scores
+        for score in swept.scores:
+            other = anew[score.cause]
+            assert (score.drop, score.visible_share) == pytest.approx(
+                (other.drop, other.visible_share), rel=1e-6, abs=1e-9
+            )
+            assert score.estimate == pytest.approx(other.estimate, rel=1e-6, abs=1e-12)
 
 
 def with_residual(r, residual, **changes):
     """The same regressors with another residual."""
-    products = replace(
-        r.products, fitted_left=r.jacobian.T @ residual, left=r.matrix.times(np.eye(r.matrix.shape[1])).T @ residual
-    )
-    return replace(r, residual=residual, added_up=products, **changes)
+    return replace(r, residual=residual, **changes)
 
 
 def null(regressors, rng):

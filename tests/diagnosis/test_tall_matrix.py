@@ -58,7 +58,9 @@ def test_sums_are_those_of_the_whole_matrix(both):
     """Fails if a block's rows are others than its number says, a pose is torn apart, or a background forgotten."""
     held, remade = both
     assert [len(list(one.matrix.blocks())) > 1 for one in both] == [False, True]
-    for one, other in zip(vars(held.products).values(), vars(remade.products).values(), strict=True):
+    seen = Screening(held), Screening(remade)
+    sums = ([*(stack.information for stack in screening.stacks), screening.score] for screening in seen)
+    for one, other in zip(*sums, strict=True):
         assert_allclose(other, one, rtol=1e-8, atol=1e-9 * np.abs(one).max(initial=0.0))
     some, rng = np.arange(0, held.matrix.shape[1], 5), np.random.default_rng(1)
     amplitudes = rng.standard_normal((held.matrix.shape[1], 2))

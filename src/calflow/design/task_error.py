@@ -65,8 +65,8 @@ class LackingCause:
 
 def lacking_causes(fitted: Fitted, catalogue: Catalogue) -> tuple[LackingCause, ...]:
     """Return the causes that a fitted model may lack, one at a time."""
-    screening = Linearisation.at(fitted, catalogue.effects).beside
-    places = by_place(screening.scores)
+    linear = Linearisation.at(fitted, catalogue.effects)
+    places, screening = by_place(linear.beside.scores), linear.whole
     likely = place_probabilities(places)
     best = ((likely[place], score.candidate) for place, (_, score) in places.items())
     return tuple(

@@ -249,7 +249,7 @@ def components_beside(
 ) -> tuple[Screening[Cause], VarianceComponents]:
     """Return the screening of a linearised model and the variance components beside it, of smooth parts in modes and of others."""
     held = TallMatrix.held(np.hstack([modes, *others]))
-    seen = Screening(replace(regressors, candidates=()).moving(held))
+    seen = Screening(regressors.moving(held))
     shown = seen.information(np.arange(held.shape[1]))
     # Smooth parts are given in modes; the others, which have many columns but few poses, enter by their products as they are.
     n, waves = modes.shape[1], np.hstack(smooth)

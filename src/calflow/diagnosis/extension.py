@@ -153,7 +153,7 @@ class FittedTrial(Trial[Cause]):
             with_form_errors(
                 self._with_rivals_alone(finding, farthest(finding.cost)),
                 self.fitted,
-                self.linearisation.apart([finding.cause]).regressors,
+                self.linearisation.apart([finding.cause]).model.regressors,
             )
             for finding in self._linear_findings
         )

@@ -60,7 +60,7 @@ def with_form_errors(finding: Detection[Cause], fitted: Fitted, apart: Regressor
             yield rows, np.hstack([form.regressors(rows, x) for form in forms])
 
     width = sum(form.width for form in forms)
-    seen = Screening(apart.only(()).moving(TallMatrix((len(row), width), blocks)))
+    seen = Screening(apart.moving(TallMatrix((len(row), width), blocks)))
     information = seen.information(np.arange(width))
     gains = {
         form.score.cause: form.gain(information[span, span], seen.score[span], apart.prior_sd, seen)

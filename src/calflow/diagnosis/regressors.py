@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache, reduce
+from functools import lru_cache, reduce
 from typing import Generic, Protocol, Self, TypeVar
 
 import numpy as np
@@ -168,71 +168,13 @@ class Candidate(Generic[H]):
 
 
 @dataclass(frozen=True)
-class RegressorProducts:
-    """Inner products over all rows that tests need, computed once for a model and the submodels without some of its parameters.
-
-    fitted (n_free, n_free): Jacobian with itself; mixed (n_free, n_columns): Jacobian with regressors; own (n_columns, widest):
-    each regressor with those of its candidate; fitted_left (n_free,), left (n_columns,): Jacobian and regressors with the residual.
-    """
-
-    fitted: np.ndarray
-    mixed: np.ndarray
-    own: np.ndarray
-    fitted_left: np.ndarray
-    left: np.ndarray
-
-    @staticmethod
-    def of(regressors: Regressors) -> RegressorProducts:
-        """Return the products of the residual (n,), the Jacobian (n, n_free) and the regressors (n, n_columns)."""
-        residual, jacobian = regressors.residual, regressors.jacobian
-        gram = np.zeros((regressors.matrix.shape[1], max((len(c.columns) for c in regressors.candidates), default=0)))
-        left, mixed = np.zeros(len(gram)), np.zeros((jacobian.shape[1], len(gram)))
-        for rows, values in regressors.matrix.blocks():
-            for candidate in regressors.candidates:
-                own = side_by_side(candidate.columns)
-                x = values[:, own]
-                gram[own, : len(candidate.columns)] += x.T @ x
-            mixed += jacobian[rows].T @ values
-            left += values.T @ residual[rows]
-        return RegressorProducts(jacobian.T @ jacobian, mixed, gram, jacobian.T @ residual, left)
-
-    def only(self, columns: np.ndarray) -> RegressorProducts:
-        """Return the products of some regressors."""
-        kept = side_by_side(columns)
-        return replace(self, mixed=self.mixed[:, kept], own=self.own[kept], left=self.left[kept])
-
-    def with_parameters(self, regressors: Regressors, columns: np.ndarray) -> RegressorProducts:
-        """Return the products with further free parameters, by their columns (n, n_more), of the regressors that these are of."""
-        more = RegressorProducts.of(replace(regressors, jacobian=columns, candidates=()))
-        both = regressors.jacobian.T @ columns
-        return replace(
-            self,
-            fitted=np.block([[self.fitted, both], [both.T, more.fitted]]),
-            mixed=np.vstack([self.mixed, more.mixed]),
-            fitted_left=np.append(self.fitted_left, more.fitted_left),
-        )
-
-    def without(self, gone: np.ndarray, value: np.ndarray) -> RegressorProducts:
-        """Return the products with some free parameters (by index) removed, whose estimates are value."""
-        keep = np.setdiff1d(np.arange(len(self.fitted)), gone)
-        return replace(
-            self,
-            fitted=self.fitted[keep][:, keep],
-            mixed=self.mixed[keep],
-            fitted_left=self.fitted_left[keep] - self.fitted[np.ix_(keep, gone)] @ value,
-            left=self.left - self.mixed[gone].T @ value,
-        )
-
-
-@dataclass(frozen=True)
 class Regressors(Generic[H]):
     """The whitened regressors of all candidates, with the residual and Jacobian of the model.
 
     residual (n,), jacobian (n, n_free), precision (n_free,): the fit's, with its priors; pull (n_free,): the priors' part of the
     gradient; matrix (n, n_columns): regressors, with prior_sd (n_columns,); random (n_modes,): indices of a background's amplitudes
     among the free parameters; amplitude_freedom (n_columns,): degrees of freedom of the variance of each column's amplitude, where
-    errors are correlated without one; posed: share of the residuals that remains if at most six per pose count; added_up: the
-    products, where they follow from others.
+    errors are correlated without one; posed: share of the residuals that remains if at most six per pose count.
     """
 
     residual: np.ndarray
@@ -246,12 +188,6 @@ class Regressors(Generic[H]):
     random: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=int))
     amplitude_freedom: np.ndarray | None = None
     posed: float = 1.0
-    added_up: RegressorProducts | None = None
-
-    @cached_property
-    def products(self) -> RegressorProducts:
-        """The inner products over all rows."""
-        return self.added_up or RegressorProducts.of(self)
 
     def with_parameters(self, columns: np.ndarray, precision: np.ndarray) -> Regressors[H]:
         """Return the model with further free parameters, still at zero, by their columns (n, n_more) and priors (n_more,)."""
@@ -260,7 +196,6 @@ class Regressors(Generic[H]):
             jacobian=np.hstack([self.jacobian, columns]),
             precision=np.append(self.precision, precision),
             pull=np.append(self.pull, np.zeros(len(precision))),
-            added_up=self.added_up and self.added_up.with_parameters(self, columns),
         )
 
     @staticmethod
@@ -323,33 +258,11 @@ class Regressors(Generic[H]):
             pull=self.pull[keep],
             random=np.flatnonzero(np.isin(keep, self.random)),
             prior_rss=self.prior_rss - float(pull @ pull),
-            added_up=self.products.without(columns, value),
-        )
-
-    def only(self, candidates: Iterable[Candidate[H]]) -> Regressors[H]:
-        """Return a copy with a subset of the candidates, and their columns alone."""
-        kept = tuple(candidates)
-        columns = np.concatenate([np.zeros(0, dtype=int), *(candidate.columns for candidate in kept)])
-        own = consecutive(len(candidate.columns) for candidate in kept)
-        return replace(
-            self,
-            matrix=self.matrix.only(columns),
-            prior_sd=self.prior_sd[columns],
-            candidates=tuple(
-                Candidate(candidate.cause, np.arange(span.start, span.stop))
-                for candidate, span in zip(kept, own, strict=True)
-            ),
-            amplitude_freedom=None if self.amplitude_freedom is None else self.amplitude_freedom[columns],
-            added_up=self.products.only(columns),
         )
 
     def moving(self, matrix: TallMatrix) -> Regressors[H]:
-        """Return a copy with another matrix of regressors."""
-        return replace(self, matrix=matrix, added_up=None)
-
-    def as_parameters(self, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return some columns (n, n_own) and their precision (n_own,), to be further parameters."""
-        return self.matrix.only(columns).times(np.eye(len(columns))), self.prior_sd[columns] ** -2.0
+        """Return a copy with another matrix of regressors, of which none is a candidate's."""
+        return replace(self, matrix=matrix, candidates=())
 
 
 def side_by_side(numbers: np.ndarray) -> np.ndarray | slice:

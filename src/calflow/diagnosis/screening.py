@@ -10,6 +10,7 @@ Candidates are also tested against many simulated residuals at once (`trials`). 
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -19,7 +20,7 @@ from typing import Generic
 import numpy as np
 import scipy
 
-from calflow.diagnosis.regressors import Candidate, H, Place, Regressors
+from calflow.diagnosis.regressors import Candidate, H, Place, Regressors, side_by_side
 from calflow.effects import Effect, catalogue, effect_class
 from calflow.estimation.variance_components import LOG_PRIOR, SIZES, directions, explained, log_likelihood, mixed
 from calflow.measurements.measurements import Measurements
@@ -146,6 +147,50 @@ def worth(smallest: np.ndarray) -> float:
 
 
 @dataclass(frozen=True)
+class RegressorProducts:
+    """Products of regressors over all rows that tests need.
+
+    own (n_columns, widest): each regressor with those of its candidate; projected (n_free, n_columns): with a root of the
+    covariance of the predicted residuals; score (n_columns,): with the residual after a Newton step.
+    """
+
+    own: np.ndarray
+    projected: np.ndarray
+    score: np.ndarray
+
+    @staticmethod
+    def of(regressors: Regressors, root: np.ndarray, residual: np.ndarray) -> RegressorProducts:
+        """Return the products with the root (n_free, n) and the residual (n,)."""
+        own = np.zeros((regressors.matrix.shape[1], max((len(c.columns) for c in regressors.candidates), default=0)))
+        projected, score = np.zeros((len(root), len(own))), np.zeros(len(own))
+        for rows, values in regressors.matrix.blocks():
+            for candidate in regressors.candidates:
+                columns = side_by_side(candidate.columns)
+                x = values[:, columns]
+                own[columns, : len(candidate.columns)] += x.T @ x
+            projected += root[:, rows] @ values
+            score += values.T @ residual[rows]
+        return RegressorProducts(own, projected, score)
+
+
+@dataclass(frozen=True)
+class Stack:
+    """Candidates with equal numbers of columns d, stacked, as they are beside a whole model.
+
+    members (n_members,): indices of the candidates; columns (n_members, d): of their regressors; sd (n_members, d): of their
+    priors; moved (n_members,): their squared effect at one sd; information (n_members, d, d): S; bounds (n_members, 2, d): of the
+    parameters.
+    """
+
+    members: np.ndarray
+    columns: np.ndarray
+    sd: np.ndarray
+    moved: np.ndarray
+    information: np.ndarray
+    bounds: np.ndarray
+
+
+@dataclass(frozen=True)
 class _Block:
     """Candidates with equal numbers of columns d, stacked.
 
@@ -187,155 +232,73 @@ class _Evaluated:
     estimate: np.ndarray
 
 
-@dataclass(frozen=True)
-class Screening(Generic[H]):
-    """Score tests of all candidates against a model's residual."""
-
-    regressors: Regressors[H]
-
-    @cached_property
-    def _factor(self) -> np.ndarray:
-        """Cholesky factor of the model's information, priors included."""
-        r = self.regressors
-        return np.linalg.cholesky(r.products.fitted + np.diag(r.precision))
-
-    @cached_property
-    def _projected(self) -> np.ndarray:
-        """Projection of the regressors on the model's Jacobian, in whitened coordinates (n_free, n_columns)."""
-        return np.asarray(scipy.linalg.solve_triangular(self._factor, self.regressors.products.mixed, lower=True))
-
-    @cached_property
-    def _gradient(self) -> np.ndarray:
-        """Gradient of the fit's objective in the same coordinates; zero at an optimum."""
-        r = self.regressors
-        return np.asarray(scipy.linalg.solve_triangular(self._factor, r.products.fitted_left + r.pull, lower=True))
-
-    @cached_property
-    def _step(self) -> np.ndarray:
-        """Newton step of the free parameters, a background's amplitudes among them, (n_free,)."""
-        return np.asarray(-scipy.linalg.solve_triangular(self._factor.T, self._gradient, lower=False))
+class ScoreTests(ABC, Generic[H]):
+    """Score tests of some candidates against a model's residual."""
 
     @property
-    def change(self) -> np.ndarray:
-        """Newton step of the model's free parameters."""
-        return np.delete(self._step, self.regressors.random)
+    @abstractmethod
+    def model(self) -> Screening[H]:
+        """The model with all its parameters, linearised."""
 
-    @cached_property
-    def settled_residual(self) -> np.ndarray:
-        """Residual after the Newton step, (n,)."""
-        return np.asarray(self.regressors.residual + self.regressors.jacobian @ self._step)
+    @property
+    @abstractmethod
+    def tested(self) -> np.ndarray:
+        """The indices of the candidates that are tested."""
 
-    @cached_property
-    def prediction_root(self) -> np.ndarray:
-        """A root R (n_free, n) of the covariance RᵀR of the predicted residuals."""
-        return np.asarray(scipy.linalg.solve_triangular(self._factor, self.regressors.jacobian.T, lower=True))
+    @property
+    @abstractmethod
+    def linear(self) -> Regressors[H]:
+        """The linearised model of the stacks."""
 
-    def root_covariance(self, parameters: np.ndarray) -> np.ndarray:
-        """Return a root R (n_free, n) of the covariance RᵀR of some free parameters, given by indices."""
-        picked = np.eye(len(self._factor))[:, parameters]
-        return np.asarray(scipy.linalg.solve_triangular(self._factor, picked, lower=True))
+    @property
+    @abstractmethod
+    def stacks(self) -> Sequence[Stack]:
+        """All candidates, by their numbers of columns."""
 
-    @cached_property
-    def score(self) -> np.ndarray:
-        """Score u of all columns, (n_columns,)."""
-        r = self.regressors
-        return np.asarray(r.products.left - self._projected.T @ self._gradient)
+    @abstractmethod
+    def changed(self, columns: np.ndarray) -> np.ndarray | float:
+        """Return by how much S (n_members, d, d) of candidates with columns (n_members, d) is larger than in the stacks."""
 
-    @cached_property
+    @abstractmethod
+    def score_of(self, columns: np.ndarray) -> np.ndarray:
+        """Return the score u of columns (n_members, d)."""
+
+    @property
+    @abstractmethod
     def chi2(self) -> float:
         """Chi² of the model, priors included, after a Newton step of its parameters."""
-        r = self.regressors
-        return float(r.residual @ r.residual + r.prior_rss - self._gradient @ self._gradient)
+
+    @property
+    @abstractmethod
+    def degrees_of_freedom(self) -> float:
+        """Residual degrees of freedom: number of residuals less that of the effective parameters, a background's left out."""
 
     @cached_property
     def variants(self) -> dict[Place, int]:
-        """Number of candidates of each place."""
-        return dict(Counter(candidate.cause.place for candidate in self.regressors.candidates))
-
-    def information(self, columns: np.ndarray) -> np.ndarray:
-        """Return S between some columns, shape (n_columns, n_columns)."""
-        imitated = self._projected[:, columns]
-        return np.asarray(self.regressors.matrix.products(columns) - imitated.T @ imitated)
-
-    def response(self, columns: np.ndarray) -> np.ndarray:
-        """Return S between all columns and some, the change of u by their amplitudes, shape (n_columns, n_own)."""
-        shown = self.regressors.matrix.response(columns)
-        return np.asarray(shown - self._projected.T @ self._projected[:, columns])
-
-    def settled(
-        self, residual: np.ndarray, pull: np.ndarray, size: np.ndarray | None = None
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return u (n_columns, n_draws) and chi² (n_draws,) of residuals (n, n_draws) with the priors' pull (n_free, n_draws).
-
-        If size (n,) is given residuals are multiplied by it, so that draws can be signs, which take little memory.
-        """
-        r, size = self.regressors, np.ones(len(residual)) if size is None else size
-        steps = [slice(start, start + DRAWN_AT_ONCE) for start in range(0, residual.shape[1], DRAWN_AT_ONCE)]
-        score, chi2 = np.zeros((r.matrix.shape[1], residual.shape[1])), (pull**2 / r.precision[:, None]).sum(axis=0)
-        gradient = np.asarray(scipy.linalg.solve_triangular(self._factor, pull, lower=True))
-        for draws in steps:
-            drawn = size[:, None] * residual[:, draws]
-            gradient[:, draws] += self.prediction_root @ drawn
-            chi2[draws] += (drawn**2).sum(axis=0)
-        for rows, x in r.matrix.blocks():
-            predicts = self.prediction_root[:, rows].T
-            for draws in steps:
-                score[:, draws] += x.T @ (size[rows, None] * residual[rows, draws] - predicts @ gradient[:, draws])
-        return score, chi2 - (gradient**2).sum(axis=0)
-
-    def imitation(self, columns: np.ndarray) -> np.ndarray:
-        """Return the change of the model's free parameters by a unit of some columns, (n, n_columns)."""
-        change = -scipy.linalg.solve_triangular(self._factor.T, self._projected[:, columns], lower=False)
-        return np.delete(change, self.regressors.random, axis=0)
-
-    def amplitudes(self, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the posterior probabilities of SIZES (n_sizes,) of some columns, if they act, and for each their amplitudes.
-
-        Means are of shape (n_sizes, n), covariances (n_sizes, n, n).
-        """
-        sd = self.regressors.prior_sd[columns]
-        shown, score = self.information(columns) * np.outer(sd, sd), sd * self.score[columns]
-        fallen, narrowed = explained(*directions(shown, score))
-        logs = log_likelihood(fallen / self.chi2, narrowed, self.degrees_of_freedom) + LOG_PRIOR
-        covariance = np.linalg.inv(shown + np.eye(len(columns)) / SIZES[:, None, None] ** 2)
-        return scipy.special.softmax(logs), -sd * (covariance @ score), covariance * np.outer(sd, sd)
-
-    @cached_property
-    def degrees_of_freedom(self) -> float:
-        """Residual degrees of freedom: number of residuals less that of the effective parameters, a background's left out."""
-        r = self.regressors
-        fixed = np.setdiff1d(np.arange(len(r.precision)), r.random)
-        of_priors = self.root_covariance(fixed) * np.sqrt(r.precision[fixed])
-        return float(len(r.residual) - len(fixed) + (of_priors**2).sum())
+        """Number of tested candidates of each place."""
+        return dict(Counter(self._candidates[k].cause.place for k in self.tested.tolist()))
 
     @property
-    def narrowed(self) -> float:
-        """Log-determinant of the model's information over its priors': the parameters' Occam factor, minus twice its log."""
-        return float(2 * np.log(self._factor.diagonal()).sum() - np.log(self.regressors.precision).sum())
+    def _candidates(self) -> tuple[Candidate[H], ...]:
+        return self.linear.candidates
 
     @cached_property
     def _blocks(self) -> list[_Block]:
-        sizes = np.array([len(candidate.columns) for candidate in self.regressors.candidates])
         blocks = []
-        for d in np.unique(sizes):
-            members = np.flatnonzero(sizes == d)
-            columns = np.array([self.regressors.candidates[m].columns for m in members])
-            whole, imitated = self.regressors.products.own[columns, :d], self._projected[:, columns].transpose(1, 0, 2)
-            s = whole - imitated.transpose(0, 2, 1) @ imitated
-            sd = self.regressors.prior_sd[columns]
+        for stack in self.stacks:
+            here = np.isin(stack.members, self.tested)
+            members, columns, sd = stack.members[here], stack.columns[here], stack.sd[here]
+            s = stack.information[here] + self.changed(columns)
             values, vectors = np.linalg.eigh(s * sd[:, :, None] * sd[:, None, :])
             shown = values > INVISIBLE
             normal = vectors * np.where(shown, np.abs(values) + 1e-300, np.inf)[:, None, :] ** -0.5
             value = np.where(shown, values, 0.0)
             some = shown.any(axis=1)
             roots = normal.transpose(0, 2, 1) * sd[:, None, :]
-            moved = np.maximum(np.einsum("mii,mi->m", whole, sd**2), np.finfo(float).tiny)
-            share = np.sqrt(np.maximum(np.einsum("mii,mi->m", s, sd**2), 0.0) / moved)
-            causes = [self.regressors.candidates[m].cause for m in members]
-            bounds = np.array([cause.bounds for cause in causes])
-            scans = np.array([self.variants[cause.place] for cause in causes])
-            parts = (columns, roots, value, shown.sum(axis=1), s, share, sd**-2.0, bounds, scans)
-            blocks.append(_Block(tuple(members[some]), *(part[some] for part in parts)))
+            share = np.sqrt(np.maximum(np.einsum("mii,mi->m", s, sd**2), 0.0) / stack.moved[here])
+            scans = np.array([self.variants[self._candidates[m].cause.place] for m in members], dtype=int)
+            parts = (columns, roots, value, shown.sum(axis=1), s, share, sd**-2.0, stack.bounds[here], scans)
+            blocks.append(_Block(tuple(members[some].tolist()), *(part[some] for part in parts)))
         return [block for block in blocks if block.members]
 
     @cached_property
@@ -344,15 +307,15 @@ class Screening(Generic[H]):
         scores = []
         for block in self._blocks:
             left = self.degrees_of_freedom - block.degrees_of_freedom
-            if (freedom := self.regressors.amplitude_freedom) is not None:
+            if (freedom := self.linear.amplitude_freedom) is not None:
                 # The median serves few columns, which are alike, and many, of which no single one matters.
                 left = np.minimum(np.median(freedom[block.columns], axis=1), left)
             left = np.maximum(left, 1.0)
-            weighed = self._weighed(block, self.score[block.columns, None], np.array([self.chi2]))
+            weighed = self._weighed(block, self.score_of(block.columns)[:, :, None], np.array([self.chi2]))
             p = f_test(weighed.squared[:, 0], self.chi2, block.degrees_of_freedom, self.degrees_of_freedom, left)
             drops, cost = weighed.drops[:, 0], weighed.cost[:, 0]
             scores += [
-                Score(self.regressors.candidates[member], float(drops[k]), float(drops[k] / self.chi2),
+                Score(self._candidates[member], float(drops[k]), float(drops[k] / self.chi2),
                       float(p[k]), float(cost[k]), float(block.share[k]), weighed.estimate[k, :, 0], block.covariance[k],
                       block.information[k], int(block.degrees_of_freedom[k]), float(left[k]))
                 for k, member in enumerate(block.members)
@@ -385,7 +348,7 @@ class Screening(Generic[H]):
         variants: dict[Place, list[tuple[np.ndarray, np.ndarray]]] = {}
         for block in self._blocks:
             weighed, spent = self._weighed(block, score[block.columns], chi2), block.degrees_of_freedom
-            places = [self.regressors.candidates[member].cause.place for member in block.members]
+            places = [self._candidates[member].cause.place for member in block.members]
             tests = np.array([family.scans.get(place, 1.0) for place in places]) * family.places
             left = np.maximum(self.degrees_of_freedom - spent, 1.0)
             threshold = f_threshold(false_alarm, tests, spent, left)
@@ -405,15 +368,15 @@ class Screening(Generic[H]):
         Each residual keeps its size and gets a random sign (wild bootstrap: Liu 1988), so that the null distribution has the heavy
         tails of the data, and noise that differs from row to row.
         """
-        r = self.regressors
+        model, r = self.model, self.model.regressors
         n = len(r.residual)
-        leverage = (self.prediction_root**2).sum(axis=0)
-        size = self.settled_residual / np.sqrt(np.maximum(1 - leverage, 0.05))
+        leverage = (model.prediction_root**2).sum(axis=0)
+        size = model.settled_residual / np.sqrt(np.maximum(1 - leverage, 0.05))
         places = list(dict.fromkeys(r.candidates[m].cause.place for block in self._blocks for m in block.members))
         number = {place: k for k, place in enumerate(places)}
         drawn = [_drawn(rng, n, r.precision, count) for count in np.diff([*range(0, DRAWS, DRAWN_AT_ONCE), DRAWS])]
         signs, pseudo = (np.hstack(part) for part in zip(*drawn, strict=True))
-        score, chi2 = self.settled(signs, pseudo, size)
+        score, chi2 = model.settled(signs, pseudo, size)
         smallest = np.ones((len(places), DRAWS))
         for block in self._blocks:
             # Of a place's variants with equal degrees of freedom, the one with the largest drop has the smallest p-value.
@@ -431,6 +394,180 @@ class Screening(Generic[H]):
         adjusted = -np.expm1(scans[:, None] * np.log1p(-np.minimum(smallest, 1 - 1e-16)))
         tests = worth(adjusted.min(axis=0)) if places else 1.0
         return Family(dict(zip(places, scans, strict=True)), tests, MATERIAL * r.posed)
+
+
+@dataclass(frozen=True)
+class Screening(ScoreTests[H]):
+    """Score tests of all candidates against a model's residual."""
+
+    regressors: Regressors[H]
+
+    @property
+    def model(self) -> Screening[H]:
+        """The model itself."""
+        return self
+
+    @cached_property
+    def tested(self) -> np.ndarray:
+        """The indices of all candidates."""
+        return np.arange(len(self.regressors.candidates))
+
+    @property
+    def linear(self) -> Regressors[H]:
+        """The model's own regressors."""
+        return self.regressors
+
+    @cached_property
+    def stacks(self) -> list[Stack]:
+        """All candidates, by their numbers of columns."""
+        r, stacks = self.regressors, []
+        sizes = np.array([len(candidate.columns) for candidate in r.candidates])
+        for d in np.unique(sizes):
+            members = np.flatnonzero(sizes == d)
+            columns = np.array([r.candidates[m].columns for m in members])
+            whole, imitated = self._products.own[columns, :d], self.projected[:, columns].transpose(1, 0, 2)
+            sd = r.prior_sd[columns]
+            moved = np.maximum(np.einsum("mii,mi->m", whole, sd**2), np.finfo(float).tiny)
+            bounds = np.array([r.candidates[m].cause.bounds for m in members])
+            s = whole - imitated.transpose(0, 2, 1) @ imitated
+            stacks.append(Stack(members, columns, sd, moved, s, bounds))
+        return stacks
+
+    def changed(self, columns: np.ndarray) -> float:
+        """Return zero: the stacks are its own."""
+        return 0.0
+
+    def score_of(self, columns: np.ndarray) -> np.ndarray:
+        """Return the score u of columns (n_members, d)."""
+        return np.asarray(self.score[columns])
+
+    @cached_property
+    def _factor(self) -> np.ndarray:
+        """Cholesky factor of the model's information, priors included."""
+        r = self.regressors
+        return np.linalg.cholesky(r.jacobian.T @ r.jacobian + np.diag(r.precision))
+
+    @cached_property
+    def _products(self) -> RegressorProducts:
+        """The products of the regressors that tests need."""
+        return RegressorProducts.of(self.regressors, self.prediction_root, self.settled_residual)
+
+    @property
+    def projected(self) -> np.ndarray:
+        """Projection of the regressors on the model's Jacobian, in whitened coordinates (n_free, n_columns)."""
+        return self._products.projected
+
+    @cached_property
+    def _gradient(self) -> np.ndarray:
+        """Gradient of the fit's objective in the same coordinates; zero at an optimum."""
+        r = self.regressors
+        return np.asarray(scipy.linalg.solve_triangular(self._factor, r.jacobian.T @ r.residual + r.pull, lower=True))
+
+    @cached_property
+    def step(self) -> np.ndarray:
+        """Newton step of the free parameters, a background's amplitudes among them, (n_free,)."""
+        return np.asarray(-scipy.linalg.solve_triangular(self._factor.T, self._gradient, lower=False))
+
+    @property
+    def change(self) -> np.ndarray:
+        """Newton step of the model's free parameters."""
+        return np.delete(self.step, self.regressors.random)
+
+    @cached_property
+    def settled_residual(self) -> np.ndarray:
+        """Residual after the Newton step, (n,)."""
+        return np.asarray(self.regressors.residual + self.regressors.jacobian @ self.step)
+
+    @cached_property
+    def prediction_root(self) -> np.ndarray:
+        """A root R (n_free, n) of the covariance RᵀR of the predicted residuals."""
+        return np.asarray(scipy.linalg.solve_triangular(self._factor, self.regressors.jacobian.T, lower=True))
+
+    def root_covariance(self, parameters: np.ndarray) -> np.ndarray:
+        """Return a root R (n_free, n) of the covariance RᵀR of some free parameters, given by indices."""
+        picked = np.eye(len(self._factor))[:, parameters]
+        return np.asarray(scipy.linalg.solve_triangular(self._factor, picked, lower=True))
+
+    @property
+    def score(self) -> np.ndarray:
+        """Score u of all columns, (n_columns,)."""
+        return self._products.score
+
+    @cached_property
+    def chi2(self) -> float:
+        """Chi² of the model, priors included, after a Newton step of its parameters."""
+        r = self.regressors
+        return float(r.residual @ r.residual + r.prior_rss - self._gradient @ self._gradient)
+
+    def information(self, columns: np.ndarray) -> np.ndarray:
+        """Return S between some columns, shape (n_columns, n_columns)."""
+        imitated = self.projected[:, columns]
+        return np.asarray(self.regressors.matrix.products(columns) - imitated.T @ imitated)
+
+    def response(self, columns: np.ndarray) -> np.ndarray:
+        """Return S between all columns and some, the change of u by their amplitudes, shape (n_columns, n_own)."""
+        shown = self.regressors.matrix.response(columns)
+        return np.asarray(shown - self.projected.T @ self.projected[:, columns])
+
+    def settled(
+        self, residual: np.ndarray, pull: np.ndarray, size: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return u (n_columns, n_draws) and chi² (n_draws,) of residuals (n, n_draws) with the priors' pull (n_free, n_draws).
+
+        If size (n,) is given residuals are multiplied by it, so that draws can be signs, which take little memory.
+        """
+        r, size = self.regressors, np.ones(len(residual)) if size is None else size
+        steps = [slice(start, start + DRAWN_AT_ONCE) for start in range(0, residual.shape[1], DRAWN_AT_ONCE)]
+        score, chi2 = np.zeros((r.matrix.shape[1], residual.shape[1])), (pull**2 / r.precision[:, None]).sum(axis=0)
+        gradient = np.asarray(scipy.linalg.solve_triangular(self._factor, pull, lower=True))
+        for draws in steps:
+            drawn = size[:, None] * residual[:, draws]
+            gradient[:, draws] += self.prediction_root @ drawn
+            chi2[draws] += (drawn**2).sum(axis=0)
+        for rows, x in r.matrix.blocks():
+            predicts = self.prediction_root[:, rows].T
+            for draws in steps:
+                score[:, draws] += x.T @ (size[rows, None] * residual[rows, draws] - predicts @ gradient[:, draws])
+        return score, chi2 - (gradient**2).sum(axis=0)
+
+    def imitation(self, columns: np.ndarray) -> np.ndarray:
+        """Return the change of the model's free parameters by a unit of some columns, (n, n_columns)."""
+        change = -scipy.linalg.solve_triangular(self._factor.T, self.projected[:, columns], lower=False)
+        return np.delete(change, self.regressors.random, axis=0)
+
+    def amplitudes(self, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the posterior probabilities of SIZES (n_sizes,) of some columns, if they act, and for each their amplitudes.
+
+        Means are of shape (n_sizes, n), covariances (n_sizes, n, n).
+        """
+        sd = self.regressors.prior_sd[columns]
+        shown, score = self.information(columns) * np.outer(sd, sd), sd * self.score[columns]
+        fallen, narrowed = explained(*directions(shown, score))
+        logs = log_likelihood(fallen / self.chi2, narrowed, self.degrees_of_freedom) + LOG_PRIOR
+        covariance = np.linalg.inv(shown + np.eye(len(columns)) / SIZES[:, None, None] ** 2)
+        return scipy.special.softmax(logs), -sd * (covariance @ score), covariance * np.outer(sd, sd)
+
+    @cached_property
+    def degrees_of_freedom(self) -> float:
+        """Residual degrees of freedom: number of residuals less that of the effective parameters, a background's left out."""
+        r, fixed = self.regressors, self.fixed
+        of_priors = self.fixed_root * np.sqrt(r.precision[fixed])
+        return float(len(r.residual) - len(fixed) + (of_priors**2).sum())
+
+    @cached_property
+    def fixed(self) -> np.ndarray:
+        """The indices of the free parameters that are no amplitudes of a background."""
+        return np.setdiff1d(np.arange(len(self.regressors.precision)), self.regressors.random)
+
+    @cached_property
+    def fixed_root(self) -> np.ndarray:
+        """A root R (n_free, n_fixed) of their covariance RᵀR."""
+        return self.root_covariance(self.fixed)
+
+    @property
+    def narrowed(self) -> float:
+        """Log-determinant of the model's information over its priors': the parameters' Occam factor, minus twice its log."""
+        return float(2 * np.log(self._factor.diagonal()).sum() - np.log(self.regressors.precision).sum())
 
 
 def f_test(

@@ -12,7 +12,8 @@ import numpy as np
 
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import H, Place, Regressors
-from calflow.diagnosis.screening import Family, Score, Screening, by_place
+from calflow.diagnosis.screening import Family, Score, ScoreTests, Screening, by_place
+from calflow.diagnosis.sweep import Swept
 from calflow.effects import Effect
 from calflow.effects.cause import Cause
 
@@ -95,29 +96,32 @@ class Linearisation(Generic[H]):
 
     def screened(self, rng: np.random.Generator, family: Family | None = None) -> Screened[H]:
         """Return the tests of all causes that the model lacks; family is the correction for their number, if it is known."""
-        screening = self.beside
-        return Screened(tuple(screening.scores), family or screening.family(rng), screening.degrees_of_freedom)
+        tests = self.beside
+        return Screened(tuple(tests.scores), family or tests.family(rng), tests.degrees_of_freedom)
 
     @cached_property
-    def beside(self) -> Screening[H]:
+    def whole(self) -> Screening[H]:
+        """The screening of all candidates, beside all causes."""
+        return Screening(self.regressors)
+
+    @cached_property
+    def beside(self) -> ScoreTests[H]:
         """Tests of all candidates that the model lacks, beside its causes."""
         return self.tested_with(self.causes)
 
-    def tested_with(self, causes: Sequence[H], where: Collection[Place] = ()) -> Screening[H]:
+    def tested_with(self, causes: Sequence[H], where: Collection[Place] = ()) -> ScoreTests[H]:
         """Return the tests of all other candidates, or those of some places, beside the given causes, linear, without a refit."""
         every, places = self.regressors.candidates, {cause.place for cause in causes}
-        there = (c for c in every if c.cause.place in where) if where else every
-        regressors = self.regressors.only(
-            c for c in there if not (c.cause.place in places and any(map(c.cause.same_form, causes)))
-        )
-        if gone := [cause for cause in self.causes if cause not in causes]:
-            columns = np.sort(np.concatenate([self.columns[self.causes.index(cause)] for cause in gone]))
-            regressors = regressors.without(columns, self.value[columns])
-        if come := [c.columns for c in every if c.cause in causes and c.cause not in self.causes]:
-            regressors = regressors.with_parameters(*self.regressors.as_parameters(np.concatenate(come)))
-        return Screening(regressors)
+        there = np.array([not where or c.cause.place in where for c in every])
+        for k in (k for k, c in enumerate(every) if c.cause.place in places):
+            there[k] &= not any(map(every[k].cause.same_form, causes))
+        gone = [self.columns[k] for k, cause in enumerate(self.causes) if cause not in causes]
+        new = [cause for cause in causes if cause not in self.causes]
+        come = [c.columns for c in every if c.cause.place in places and c.cause in new]
+        out, into = (np.sort(np.concatenate([np.zeros(0, dtype=int), *parts])) for parts in (gone, come))
+        return Swept(self.whole, np.flatnonzero(there), out, self.value[out], into)
 
-    def apart(self, gone: Sequence[H], where: Collection[Place] = ()) -> Screening[H]:
+    def apart(self, gone: Sequence[H], where: Collection[Place] = ()) -> ScoreTests[H]:
         """Return the tests of all candidates, or those of some places, with some causes removed, beside the others."""
         return self.tested_with([cause for cause in self.causes if cause not in gone], where)
 

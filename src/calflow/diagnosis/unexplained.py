@@ -332,7 +332,7 @@ class Standstills:
         shifts = leading * (problem.place[rows, None] == np.arange(3)) * weight[rows, None]
         functions = [each_pose(SIZE * USUAL**-0.5 * moved, pose) for moved in (*np.split(ways, n, axis=1), shifts)]
         unevenly = [part[rows] for part in uneven_causes(fitted)]
-        some = replace(whole, residual=whole.residual[rows], jacobian=whole.jacobian[rows], added_up=None)
+        some = replace(whole, residual=whole.residual[rows], jacobian=whole.jacobian[rows])
         squared = (leading * ways / weight[rows, None]) ** 2
         reach = np.sqrt(squared.sum(axis=0) / len(np.unique(problem.row[rows])))
         modes = basis.weighed(apart.problem)[rows]
