@@ -15,7 +15,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from hidden import test_frames, test_hidden, test_joint_causes, test_steps, test_tool
+from effects import test_link_bending
+from hidden import test_base, test_frames, test_hidden, test_joint_causes, test_steps, test_tool
 from hidden.case import Case
 from hidden.test_hidden import Findings, case, found
 
@@ -41,6 +42,10 @@ def stated() -> Iterator[Stated]:
         yield Stated(name, one, 11, tuple((h.cause, h.joint) for h in one.hidden))
     for name, one in test_steps.STEPS.items():
         yield Stated(name, one, 31, tuple((h.cause, h.joint) for h in one.hidden))
+    for name, one in test_base.FEET.items():
+        yield Stated(f"{name} foot", one, 31, ((one.hidden[0].cause, 0),))
+    for name, one in test_link_bending.BENT.items():
+        yield Stated(f"bending, {name}", one, 33, (("link-bending", one.hidden[0].joint),))
     yield Stated("table 2 of the paper", test_hidden.TABLE_2, 18, tuple(("joint-compliance", k) for k in (2, 3, 4, 5)))
     for name, (one, _) in test_frames.EVERY.items():
         yield Stated(name, one, 21, ((name.split()[0], 0),))
