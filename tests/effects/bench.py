@@ -20,7 +20,12 @@ BASE = ((3500.0, -500.0, -800.0), (0.4, -0.3, 165.0))  # mm and degrees: away fr
 EVERYTHING = ("approach", "travel", "time", "temperature")
 ROBOTS = ("serial", "hh800")
 # The serial arm has no rail, no rod and no camera.
-UNSHOWN = ("axis-straightness", "rod-play", *(name for name, effect in catalogue().items() if effect.imaged))
+UNSHOWN = (
+    "axis-straightness",
+    "drive-stretch",
+    "rod-play",
+    *(name for name, effect in catalogue().items() if effect.imaged),
+)
 SESSIONS = ("mon", "tue", "wed", "fri")
 
 

@@ -131,6 +131,7 @@ OF_ONE_CONVENTION = {
     "range-noise",
     "session-frame",
     "axis-straightness",
+    "drive-stretch",
     "board-bent",
     "print-scale",
     "target-slip",

@@ -159,8 +159,7 @@ class FittedTrial(Trial[Cause]):
         )
 
     def _finer(self, cause: Cause) -> list[Cause]:
-        finer = cause.effect.finer(self.fitted.data)
-        return [replace(cause, effect=effect) for effect in finer if cause.part in effect.parts]
+        return [replace(cause, effect=effect) for effect in cause.effect.finer(self.fitted.data)]
 
 
 def extend(start: Fitted, catalogue: Catalogue, search: Stepwise) -> FittedTrial:

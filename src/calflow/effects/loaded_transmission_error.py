@@ -1,4 +1,4 @@
-"""Loaded transmission error: a gear's periodic error that grows with its torque or temperature, a belt that its load stretches."""
+"""Loaded transmission error: a gear's periodic error that grows with its torque or temperature."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from calflow.robot.robot import Robot
 
 ORDERS = (1, 2)  # per revolution of the joint, searched
 MULTIPLES = 2  # per revolution of the motor, at most
-STRETCH_SD, STRETCH_BOUND = 3e-4, 20e-3  # m/m at the rated force: of a belt, a rope or a long screw
 
 
 @dataclass(frozen=True)
@@ -22,8 +21,7 @@ class LoadedTransmissionError(JointError):
     """dq = (A cos(order q) + B sin(order q)) · torque / rated, in addition to the unloaded transmission error.
 
     geared: the order is per revolution of the motor instead of the joint. warm: the amplitude is proportional to
-    (T - 20 degC) / 10 K instead of torque / rated. Of a slide it is, in the place of the first order, dq = kappa q · force / rated:
-    its belt, rope or screw stretches by its load the more, the longer the part is that carries it.
+    (T - 20 degC) / 10 K instead of torque / rated.
     """
 
     order: int = 1
@@ -34,7 +32,7 @@ class LoadedTransmissionError(JointError):
     title = "transmission error that grows with load or temperature"
     words = Words(
         "transmission error under load",
-        "the joint is off as it moves, the more the larger its load is or the warmer the gear",
+        "the angle is off as the joint turns, the more the larger its torque is or the warmer the gear",
         "amplitude at the rated torque, or 10 K above 20 degC",
     )
     family = TRANSMISSION
@@ -71,19 +69,13 @@ class LoadedTransmissionError(JointError):
         order = f"{self.order} a motor turn" if self.geared else f"order {self.order}"
         return f"{order}, by {'temperature' if self.warm else 'torque'}"
 
-    def detail_at(self, joint: int) -> str:
-        """Return the order, or that a slide's drive stretches."""
-        stretches = joint and self.robot.joints[joint - 1].kind == "prismatic" and not self.geared
-        return "the drive stretches in proportion to travel and force" if stretches else self.detail
-
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
-        """Return the cosine and sine terms, each times the load; a slide's stretching, where it is the first order by its force."""
-        of = self.robot.joints[joint]
-        if of.kind == "prismatic" and not self.geared:
-            stretched = state.q[joint] * self.load(joint, state)
-            alone = self.order == 1 and not self.warm
-            return [Term("kappa", "m/m", STRETCH_SD, STRETCH_BOUND, stretched)] if alone else []
-        ratio = of.gear_ratio or 0.0 if self.geared else 1.0
+        """Return the cosine and sine terms, each times the load."""
+        ratio, of = 1.0, self.robot.joints[joint]
+        if self.geared:
+            ratio = of.gear_ratio or 0.0
+        elif of.kind == "prismatic":
+            ratio = 0.0
         if not ratio:
             return []
         sd = 1.5e-4 if self.geared else 3e-4
