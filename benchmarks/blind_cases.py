@@ -21,7 +21,7 @@ from calflow.diagnosis.screening import Catalogue, Score, Screening, f_threshold
 from calflow.diagnosis.stepwise import SHARES
 from calflow.diagnosis.trial import Detection, Linearisation, Screened
 from calflow.diagnosis.verdict import verdict
-from calflow.estimation.model_tables import identified
+from calflow.estimation.model_tables import calibrated
 from calflow.estimation.noise import averaged
 from calflow.estimation.variance_components import directions, explained, mixed
 from calflow.faults import corrected
@@ -172,7 +172,7 @@ class Bare:
 def begun(study: Study, results: Results) -> tuple[Fitted, Catalogue]:
     """Return the fit that diagnose begins with, and its catalogue."""
     data = study.measurements()
-    known = identified(study.robot, results, data.given)
+    known = calibrated(study.robot, results.of({"identify"}), data.given)
     data = corrected(data.on(known.model.robot), results.tables["identify/faults.csv"])
     train, level = averaged(data.only(data.train), known.noise(data).only(data.train))
     return Fitted.of(known, train, level), Catalogue.of(train, [effect.id for effect in known.model.effects])

@@ -14,7 +14,7 @@ from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import Family, Screening
 from calflow.diagnosis.trial import Screened
 from calflow.estimation.accuracy import errors
-from calflow.estimation.model_tables import calibrated, identified
+from calflow.estimation.model_tables import calibrated
 from calflow.files.tables import Results
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
@@ -119,7 +119,10 @@ def held_out(study: Study, results: Results) -> dict[str, float]:
     """Return the held-out mean error [mm] of the identified and of the extended model."""
     data = study.measurements()
     held = data.only(data.held_out)
-    base, best = identified(study.robot, results, data.given), calibrated(study.robot, results, data.given)
+    base, best = (
+        calibrated(study.robot, results.of({"identify"}), data.given),
+        calibrated(study.robot, results, data.given),
+    )
     return {"before_mm": _mean(base.model, base.estimate, held), "after_mm": _mean(best.model, best.estimate, held)}
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from calflow.estimation.accuracy import error_jacobian
-from calflow.estimation.model_tables import identified
+from calflow.estimation.model_tables import calibrated
 from calflow.files.tables import Results
 from calflow.study import Study
 
@@ -16,7 +16,7 @@ def left_over(study: Study, results: Results, moved: np.ndarray) -> np.ndarray:
     All rows weigh alike, and what is left is across all that small changes of the model's parameters do.
     """
     data = study.measurements()
-    known = identified(study.robot, results, data.given)
+    known = calibrated(study.robot, results.of({"identify"}), data.given)
     train = data.on(known.model.robot).only(data.train)
     flat = moved[train.table["line"].to_numpy(int) - 2].ravel()
     slope = error_jacobian(known.model, known.estimate, train).reshape(len(flat), -1)
