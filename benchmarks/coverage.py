@@ -13,7 +13,7 @@ import numpy as np
 
 from calflow.estimation.accuracy import errors
 from calflow.estimation.calibrated_model import CalibratedModel
-from calflow.estimation.model_tables import calibrated, identified
+from calflow.estimation.model_tables import calibrated
 from calflow.faults import corrected
 from calflow.measurements.measurements import Measurements
 from calflow.run_folder import read_manifest, read_results
@@ -71,7 +71,7 @@ def of_run(path: Path, folder: Path) -> dict[str, tuple[Coverage, CalibratedMode
     data, found = study.measurements(), {}
     results = read_results(manifest, folder, "identify")
     data = corrected(data, results.tables["identify/faults.csv"])
-    known = identified(study.robot, results, data.given)
+    known = calibrated(study.robot, results.of({"identify"}), data.given)
     found["identify"] = coverage(known, data.on(known.model.robot)), known
     if (folder / "diagnose").exists():
         results |= read_results(manifest, folder, "diagnose")
