@@ -23,6 +23,7 @@ from calflow.diagnosis.serial_errors import LikelyErrors, RestrictedLikelihood, 
 from calflow.diagnosis.stepwise import CLEAR, SPLIT, CauseAcceptance, Stepwise
 from calflow.diagnosis.trial import Detection, Linearisation, Screened, Trial
 from calflow.diagnosis.verdict import verdict
+from calflow.estimation.prior_scale import on_likeliest_scale
 from calflow.estimation.progress import nobody
 from calflow.estimation.variance_components import refitted_cost
 from calflow.files.deferred import pd
@@ -41,6 +42,7 @@ MEDIAN_EFFICIENCY = (
 )
 WEIGHINGS = 3  # searches at most after the first, in which the weights of outliers settle
 SETTLED = 1.1  # excess of an outlier over its limit below which its weight has settled
+SCALINGS = 4  # most solutions in which the scales of the blocks' priors settle
 LEVELS = 20  # most iterations of an unknown noise level
 UNRESTRICTED = 1e4  # prior sd of a parameter without a prior, by its effect on the residuals relative to their norm
 
@@ -51,8 +53,8 @@ class Block:
 
     name identifies the cause, and is the same for all its variants. matrix (n, n_parameters) is the Jacobian of the residuals
     by the block's parameters, in units of the residuals per unit of the parameters. prior_sd, lower and upper (n_parameters,),
-    or scalars, are the parameters' prior standard deviations about zero, and their bounds. A size well beyond prior_sd is estimated
-    too small, with an sd that does not show it.
+    or scalars, are the parameters' usual sizes (prior standard deviations about zero), and their bounds. Of a size that is clearly
+    beyond prior_sd the data decide: larger ones are rarer, but not excluded.
 
     Raises:
         InputError: a matrix, prior_sd, lower or upper that are not numbers.
@@ -143,15 +145,36 @@ class LinearProblem:
         return np.concatenate([np.zeros(0, dtype=int), *(columns[block] for block in blocks)])
 
     def solved(self, blocks: Sequence[Block]) -> Solution:
-        """Return the maximum a posteriori solution, within the bounds, with the given blocks in the model."""
-        sd = np.concatenate([self.prior_sd, *(block.sd for block in blocks)])
+        """Return the maximum a posteriori solution, within the bounds, with the given blocks in the model.
+
+        The blocks' priors are on their likeliest scales (see `prior_scale`).
+        """
+        solution = self._on_scales(blocks, (1.0,) * len(blocks))
+        for _ in range(SCALINGS):
+            if (likeliest := self._likeliest_scales(solution, blocks)) == solution.scales:
+                break
+            solution = self._on_scales(blocks, likeliest)
+        return solution
+
+    def _likeliest_scales(self, solution: Solution, blocks: Sequence[Block]) -> tuple[float, ...]:
+        spans = consecutive([len(self.prior_sd), *(block.n_parameters for block in blocks)])[1:]
+        estimate, covariance, sd = solution.estimate, solution.covariance, solution.prior_sd
+        return tuple(
+            on_likeliest_scale(estimate[own], covariance[own, own], (0 * sd[own], sd[own]), scale)[0]
+            for own, scale in zip(spans, solution.scales, strict=True)
+        )
+
+    def _on_scales(self, blocks: Sequence[Block], scales: tuple[float, ...]) -> Solution:
+        """Return the solution with the blocks' priors on these scales."""
+        wider = (scale * block.sd for block, scale in zip(blocks, scales, strict=True))
+        sd = np.concatenate([self.prior_sd, *wider])
         free = np.full((2, len(self.prior_sd)), [[-np.inf], [np.inf]])
         bounds = np.hstack([free, *(block.bounds for block in blocks)])
         design = np.hstack([self.jacobian, self.matrix[:, self.columns(blocks)]])
         level = 1.0 if self.noise_known else float(np.sqrt(np.mean(self.residual**2)))
         independent = self._iterated(self.residual, design, sd, bounds, level, self.noise_known)
         if self.order is None:
-            return independent
+            return replace(independent, scales=scales)
         free = ~independent.at_bound
         scaled = (design * sd)[:, free]
         # Priors are as wide as the sizes by least squares: a size beyond its prior is no sign of correlated errors.
@@ -165,10 +188,10 @@ class LinearProblem:
         )
         errors = likelihood.likeliest(self.order)
         if errors is None:
-            return replace(independent, likelihood=likelihood)
+            return replace(independent, scales=scales, likelihood=likelihood)
         both = errors.whitened(np.column_stack([self.residual, design]))
         serial = self._iterated(both[:, 0], both[:, 1:], sd, bounds, float(np.sqrt(likelihood.variance(errors))), False)
-        return replace(serial, likelihood=likelihood, errors=errors)
+        return replace(serial, scales=scales, likelihood=likelihood, errors=errors)
 
     def _iterated(
         self, residual: np.ndarray, design: np.ndarray, sd: np.ndarray, bounds: np.ndarray, level: float, known: bool
@@ -186,8 +209,9 @@ class LinearProblem:
 class Solution:
     """A solved problem: parameters (n_parameters,), the fitted ones first, then the blocks'; residual (n,) and design over level.
 
-    level is the noise in units of sigma; at_bound (n_parameters,) marks parameters at a bound. errors is the correlation model
-    that whitens residual and design, None for independent errors; likelihood is the restricted likelihood that estimated it.
+    level is the noise in units of sigma; at_bound (n_parameters,) marks parameters at a bound; scales are those of the blocks'
+    priors, over their usual sizes. errors is the correlation model that whitens residual and design, None for independent errors;
+    likelihood is the restricted likelihood that estimated it.
     """
 
     level: float
@@ -196,8 +220,18 @@ class Solution:
     at_bound: np.ndarray
     residual: np.ndarray
     design: np.ndarray
+    scales: tuple[float, ...] = ()
     likelihood: RestrictedLikelihood | None = None
     errors: LikelyErrors | None = None
+
+    @cached_property
+    def covariance(self) -> np.ndarray:
+        """Covariance of the parameters, priors included, zero for one at a bound, (n_parameters, n_parameters)."""
+        free = np.flatnonzero(~self.at_bound)
+        scaled, whole = (self.design * self.prior_sd)[:, free], np.zeros(2 * self.prior_sd.shape)
+        inverse = np.linalg.inv(scaled.T @ scaled + np.eye(len(free)))
+        whole[np.ix_(free, free)] = inverse * np.outer(self.prior_sd[free], self.prior_sd[free])
+        return whole
 
     @cached_property
     def effective_parameters(self) -> float:
@@ -280,7 +314,10 @@ class LinearTrial(Trial[Block]):
     def cost(self) -> float:
         """Cost for comparing trials, twice the negative log evidence: misfit, and penalties for parameters and variants."""
         solution, spans = self.solution, self._columns
-        every = [self._amplitudes(block, columns) for block, columns in zip(self.blocks, spans, strict=True)]
+        every = [
+            (*self._amplitudes(block, columns), scale)
+            for block, columns, scale in zip(self.blocks, spans, solution.scales, strict=True)
+        ]
         narrowed = solution.narrowed(np.concatenate([[], *spans]).astype(int))
         cost = refitted_cost(solution.misfit, solution.level, self.first.degrees_of_freedom, every, narrowed)
         return cost + self._cost_of_errors
@@ -294,7 +331,7 @@ class LinearTrial(Trial[Block]):
         linear, family = self.linearisation, self.first.family
         return tuple(
             finding
-            if len(self.blocks) == 1 or finding.p < CLEAR * FALSE_ALARM
+            if len(self.blocks) == 1 or not finding.is_shown or finding.p < CLEAR * FALSE_ALARM
             else replace(finding, family=linear.apart([finding.cause]).family(self.rng))
             for finding in (linear.finding(block, family) for block in self.blocks)
         )
@@ -324,6 +361,8 @@ class LinearTrial(Trial[Block]):
         shown = problem.matrix if errors is None else errors.whitened(problem.matrix)
         free = np.flatnonzero(~solution.at_bound)
         precision = solution.prior_sd**-2.0
+        # What is left of a stated noise may be a block far larger than usual, beside whose own size the usual one is not seen.
+        wider = solution.level if problem.noise_known else 1.0
         regressors = Regressors(
             residual=solution.residual,
             jacobian=solution.design[:, free],
@@ -331,7 +370,7 @@ class LinearTrial(Trial[Block]):
             pull=(precision * solution.estimate)[free],
             prior_rss=float(precision @ solution.estimate**2),
             matrix=TallMatrix.held(shown / solution.level),
-            prior_sd=np.concatenate([block.sd for block in problem.blocks]),
+            prior_sd=wider * np.concatenate([block.sd for block in problem.blocks]),
             candidates=problem.candidates,
             amplitude_freedom=None
             if errors is None
@@ -583,9 +622,10 @@ def _finding(finding: Detection[Block]) -> LinearFinding:
         LinearRival(rival.id, rival.cause.detail if rival.cause else "", rival.cost) for rival in named.rivals
     )
     held = (score.estimate == finding.cause.bounds).any(axis=0)
-    sd = np.where(held, np.nan, np.sqrt(np.diag(score.covariance)))
+    estimate, covariance = score.likeliest
+    sd = np.where(held, np.nan, np.sqrt(np.diag(covariance)))
     cause = finding.cause
-    return LinearFinding(cause.name, cause.variant, score.estimate, sd, finding.p, named.probability, rivals)
+    return LinearFinding(cause.name, cause.variant, estimate, sd, finding.p, named.probability, rivals)
 
 
 def _flat(residual: np.ndarray, jacobian: np.ndarray) -> np.ndarray:

@@ -215,14 +215,14 @@ def unnamed(
 
 def _relative_amplitudes(
     fitted: Fitted, cause: Cause, estimate: np.ndarray, variants: Mapping[Place, int]
-) -> tuple[np.ndarray, int]:
-    """Return the amplitudes of a model's cause at an estimate, and the number of forms that were tried at its place.
+) -> tuple[np.ndarray, int, float]:
+    """Return the amplitudes of a model's cause at an estimate, the number of forms that were tried at its place, and its scale.
 
-    They are over their usual sizes, nan at a bound (see `spent`).
+    They are over their prior standard deviations, nan at a bound (see `spent`).
     """
     model, columns = fitted.model, fitted.model.columns(cause)
     sizes = (estimate[columns] - model.prior_mean[columns]) / model.prior_sd[columns]
-    return np.where(fitted.fit.at_bound[columns], np.nan, sizes), variants.get(cause.place, 1)
+    return np.where(fitted.fit.at_bound[columns], np.nan, sizes), variants.get(cause.place, 1), cause.scale
 
 
 def weighed(

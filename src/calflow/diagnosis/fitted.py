@@ -19,12 +19,14 @@ from calflow.estimation.lack_of_fit import SIGNIFICANT, LackOfFit
 from calflow.estimation.least_squares import LeastSquares, Loss
 from calflow.estimation.leverage import LeftOut, excess, left_out
 from calflow.estimation.noise import NO_DISCREPANCY, Noise, PerUnit
+from calflow.estimation.prior_scale import on_likeliest_scale
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 
 HUBER = 4.5  # standard deviations from which rows are down-weighted
 SETTLED = 0.1  # relative change of noise and weights below which a fit is not repeated
 MOST_LEVERAGE = 0.95  # of a residual, by which it is studentised
+SCALINGS = 4  # fits at most, in which the scales of the causes' priors settle
 WEIGHINGS = 3  # fits at most, in which the weights of outliers settle
 ALIKE = np.ones(1)  # factor of all rows without outliers
 
@@ -207,12 +209,19 @@ class Fitted:
 
     def fit_with(self, causes: Sequence[Cause]) -> Fit:
         """Return a single fit of the study's effects with these causes, at this model's weights; not for tests."""
-        model = replace(self.model, effects=(*self.plain, *causes))
-        return fit(
-            LeastSquares.of(model, self.data, self.noise),
-            self.model.handed_on(self.fit.estimate, model)[None],
-            self.fit.loss,
-        )[0]
+        model = self._with(causes)
+        start = self.model.handed_on(self.fit.estimate, model)
+        for _ in range(SCALINGS):
+            result = fit(LeastSquares.of(model, self.data, self.noise), start[None], self.fit.loss)[0]
+            model, start = scaled(result), result.estimate
+            if model is result.model:
+                break
+        return result
+
+    def _with(self, causes: Sequence[Cause]) -> Model:
+        """Return the study's effects with these causes, those of the model on the scales that they have here."""
+        own = {cause: cause for cause in self.causes}
+        return replace(self.model, effects=(*self.plain, *(own.get(cause, cause) for cause in causes)))
 
     def with_causes(self, causes: Sequence[Cause], start: np.ndarray | None = None, share: float = 0.0) -> Fitted:
         """Return the model with these causes beside the study's effects, fitted by IPOPT unless cached.
@@ -222,15 +231,33 @@ class Fitted:
         """
         held = frozenset(causes)
         if held not in self.visited:
-            model = replace(self.model, effects=(*self.plain, *causes))
+            model = self._with(causes)
             start = self.model.handed_on(self.fit.estimate, model) if start is None else start
             near = self.noise.sigma / self.outlier_factor * np.sqrt(1 - share)
             sigma = np.where(self.device.estimated, near, self.device.sigma)
             bare = replace(self.device, discrepancy=PerUnit(), sigma=sigma)
-            self.visited[held] = _settled(
-                model, self.data, bare, start, self.fit.loss, self.outlier_factor, self.noise.discrepancy
-            )
+            factor, discrepancy = self.outlier_factor, self.noise.discrepancy
+            for _ in range(SCALINGS):
+                found = _settled(model, self.data, bare, start, self.fit.loss, factor, discrepancy)
+                model, start = scaled(found.fit), found.fit.estimate
+                if model is found.model:
+                    break
+                factor, discrepancy = found.outlier_factor, found.noise.discrepancy
+            self.visited[held] = found
         return replace(self.visited[held], background=self.background, shared=self.shared, visited=self.visited)
+
+
+def scaled(result: Fit) -> Model:
+    """Return the model with the priors of its causes on their likeliest scales, itself where they are."""
+    model, scales = result.model, dict[Cause, float]()
+    for cause in model.causes:
+        own = model.columns(cause)
+        prior, covariance = (model.prior_mean[own], model.prior_sd[own]), result.covariance[np.ix_(own, own)]
+        scales[cause] = on_likeliest_scale(result.estimate[own], covariance, prior, cause.scale)[0]
+    if all(cause.scale == scale for cause, scale in scales.items()):
+        return model
+    effects = (replace(each, scale=scales[each]) if isinstance(each, Cause) else each for each in model.effects)
+    return replace(model, effects=tuple(effects))
 
 
 def _settled(

@@ -210,8 +210,9 @@ class Regressors(Generic[H]):
 
         The problem has the correlation within standstills, the background that between nearby rows. poses (n_rows,) numbers the
         rows' poses, of which at most six residuals count. Where residuals are larger than usual, the candidates' priors are widened
-        in proportion.
+        in proportion; those of causes in the model are their usual ones here.
         """
+        effects = tuple(effect.usual if isinstance(effect, Cause) else effect for effect in effects)
         model = fit.model
         large = replace(model, probes=tuple(effects))
         n = len(model.parameters)

@@ -137,7 +137,7 @@ def _matched(cause: Cause, data: Measurements) -> Cause | None:
         same = replace(cause.effect, robot=data.robot)
     if same is None or cause.part not in {parameter.part for parameter in same.declared}:
         return None
-    return Cause(data.robot, same, cause.part)
+    return Cause(data.robot, same, cause.part, cause.scale)
 
 
 def _compared(

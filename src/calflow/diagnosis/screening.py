@@ -22,6 +22,7 @@ import scipy
 
 from calflow.diagnosis.regressors import Candidate, H, Place, Regressors, side_by_side
 from calflow.effects import Effect, catalogue, effect_class
+from calflow.estimation.prior_scale import on_likeliest_scale
 from calflow.estimation.variance_components import LOG_PRIOR, SIZES, directions, explained, log_likelihood, mixed
 from calflow.measurements.measurements import Measurements
 
@@ -101,6 +102,14 @@ class Score(Generic[H]):
         precision = np.linalg.inv(self.covariance)
         fallen = self.estimate @ (2 * precision - self.information) @ self.estimate
         return float(np.clip(fallen * self.share / max(self.drop, 1e-12), 0.0, 1 - 1e-6))
+
+    @property
+    def likeliest(self) -> tuple[np.ndarray, np.ndarray]:
+        """Estimate and covariance with the priors on their likeliest scale; as they are where a bound holds the estimate."""
+        if (self.estimate == self.cause.bounds).any():
+            return self.estimate, self.covariance
+        usual = np.diag(np.linalg.inv(self.covariance) - self.information) ** -0.5
+        return on_likeliest_scale(self.estimate, self.covariance, (np.zeros(len(usual)), usual))[1:]
 
     @property
     def cause(self) -> H:

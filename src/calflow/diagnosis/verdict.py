@@ -364,7 +364,7 @@ def found_amplitude(finding: Detection, fitted: Fitted) -> Amplitude:
     forms = [(finding.own.cost, cause, *own)]
     for score in finding.scores:
         if score.cause.place == cause.place and score.cause != cause and same_quantities(score.cause, cause):
-            forms.append((score.cost, score.cause, score.estimate, score.covariance))
+            forms.append((score.cost, score.cause, *score.likeliest))
     shares = scipy.special.softmax([-cost / 2 for cost, *_ in forms])
     rng, drawn, square = np.random.default_rng(0), list[np.ndarray](), 0.0
     for share, (_, form, values, covariance) in zip(shares, forms, strict=True):

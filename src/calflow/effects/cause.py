@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from operator import attrgetter
 from typing import Any, Self
@@ -22,10 +22,14 @@ def _of_its_effect(name: str) -> Any:
 
 @dataclass(frozen=True)
 class Cause(ActingEffect):
-    """An effect at one place: the parameters of one part are free, those of all other parts are zero."""
+    """An effect at one place: the parameters of one part are free, those of all other parts are zero.
+
+    scale is that of its priors in a fit, over the effect's usual sizes (see `prior_scale`); it is the same cause in any.
+    """
 
     effect: Effect
     part: str
+    scale: float = field(default=1.0, compare=False)
 
     variant, family, alike, needs = map(_of_its_effect, ("variant", "family", "alike", "needs"))
 
@@ -64,6 +68,11 @@ class Cause(ActingEffect):
         """Number of parameters."""
         return len(self.declared)
 
+    @property
+    def usual(self) -> Self:
+        """The cause with priors of the usual sizes."""
+        return self if self.scale == 1 else replace(self, scale=1.0)
+
     @cached_property
     def bounds(self) -> np.ndarray:
         """Lower and upper bounds of the parameters relative to nominal, shape (2, n_parameters)."""
@@ -80,7 +89,8 @@ class Cause(ActingEffect):
     @cached_property
     def declared(self) -> tuple[Parameter, ...]:
         """The part's parameters, as the effect names them."""
-        return tuple(self.effect.declared[k] for k in self.effect.parts[self.part])
+        own = (self.effect.declared[k] for k in self.effect.parts[self.part])
+        return tuple(replace(parameter, prior_sd=self.scale * parameter.prior_sd) for parameter in own)
 
     def acting(self, p: ca.SX) -> tuple[Effect, ca.SX]:
         """Return the effect and all its parameters, those of other parts zero."""

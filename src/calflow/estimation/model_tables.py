@@ -48,6 +48,7 @@ class ModelEffect:
     effect: str = column("its id")
     part: str = column("the part of the robot that it is a cause of; empty: all")
     variant: str = column("the figures of its variant, as JSON")
+    prior_scale: float = column("its priors' standard deviations, over those of a cause of usual size", default=1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -267,8 +268,9 @@ def effect_table(effects: Sequence[Effect]) -> pd.DataFrame:
 
 
 def _model_effect(effect: Effect) -> ModelEffect:
-    whole, part = (effect.effect, effect.part) if isinstance(effect, Cause) else (effect, "")
-    return ModelEffect(effect=whole.id, part=part, variant=whole.figures_text)
+    if isinstance(effect, Cause):
+        return replace(_model_effect(effect.effect), part=effect.part, prior_scale=effect.scale)
+    return ModelEffect(effect=effect.id, part="", variant=effect.figures_text)
 
 
 def observation_table(observed: Sequence[Observation]) -> pd.DataFrame:
@@ -348,7 +350,7 @@ def read_effects(rows: Sequence[ModelEffect], robot: Robot) -> tuple[Effect, ...
     effects: list[Effect] = []
     for row in rows:
         whole = _kind(row.effect).of_figures(robot, row.variant)
-        effects.append(Cause(robot, whole, row.part) if row.part else whole)
+        effects.append(Cause(robot, whole, row.part, row.prior_scale) if row.part else whole)
     return tuple(effects)
 
 

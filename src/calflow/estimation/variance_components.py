@@ -340,17 +340,18 @@ def mixed(logs: np.ndarray) -> np.ndarray:
     return np.asarray(most + np.log(np.exp(logs - most).sum(axis=0)))
 
 
-def spent(amplitudes: np.ndarray, variants: int) -> float:
-    """Return minus twice the log prior of a cause's amplitudes by a refit, beyond that of a normal prior of the usual size.
+def spent(amplitudes: np.ndarray, variants: int, scale: float = 1.0) -> float:
+    """Return minus twice the log prior of a cause's amplitudes by a refit, beyond that of the normal prior of the fit.
 
     The prior is over a standard normal's at its peak, and shared by the cause's variants.
 
     Args:
-        amplitudes: estimates less the prior means, over their usual sizes; nan at a bound.
+        amplitudes: estimates less the prior means, over the standard deviations of the fit's priors; nan at a bound.
         variants: number of forms of the cause that were tried.
+        scale: those standard deviations over the usual sizes.
     """
-    pulled, number = np.nansum(amplitudes**2), np.isfinite(amplitudes).sum()
-    of_sizes = -pulled / SIZES**2 / 2 - number * np.log(SIZES)
+    pulled, number, sizes = np.nansum(amplitudes**2), np.isfinite(amplitudes).sum(), SIZES / scale
+    of_sizes = -pulled / sizes**2 / 2 - number * np.log(sizes)
     return float(-2 * mixed(of_sizes) - pulled + 2 * np.log(variants))
 
 
@@ -358,7 +359,7 @@ def refitted_cost(
     chi2: float,
     level: float,
     degrees_of_freedom: float,
-    fitted: Sequence[tuple[np.ndarray, int]],
+    fitted: Sequence[tuple[np.ndarray, int, float]],
     log_determinant: float,
 ) -> float:
     """Return minus twice the log evidence of a refitted model, comparable with others of the same data.
@@ -370,10 +371,10 @@ def refitted_cost(
         chi2: that of the model, with the causes' prior terms.
         level: standard deviation by which residuals were divided.
         degrees_of_freedom: residual ones of the model without causes, as in `log_likelihood`.
-        fitted: each cause's amplitudes and number of variants, as for `spent`.
-        log_determinant: that of the covariance of the amplitudes off their bounds, over their usual sizes.
+        fitted: each cause's amplitudes, number of variants and scale, as for `spent`.
+        log_determinant: that of the covariance of the amplitudes off their bounds, over the fit's prior variances.
     """
-    every = np.concatenate([np.zeros(0), *(amplitudes for amplitudes, _ in fitted)])
+    every = np.concatenate([np.zeros(0), *(amplitudes for amplitudes, *_ in fitted)])
     pulled, held = float(np.nansum(every**2)), np.isnan(every).sum()
     by_prior = sum(spent(*cause) for cause in fitted) + pulled + held * float(np.log(degrees_of_freedom))
     return degrees_of_freedom * float(np.log((chi2 - pulled) * level**2)) + by_prior - log_determinant
