@@ -11,8 +11,8 @@ import pytest
 import calflow as cf
 from calflow.model import build
 from conftest import in_process
-from hidden.case import World, draw
-from hidden.causes import Hidden, measured_points
+from hidden.case import World, draw, write_case
+from hidden.causes import PAYLOADS, Hidden, measured_points
 from hidden.landings import missed, targets
 from hidden.test_hidden import CLOCK, Findings, case, found, only
 
@@ -130,3 +130,43 @@ def test_exported_figures_are_those_after_the_jump(jumped):
     point = build(robot, (), data.given).point(np.zeros(0), data.conditions)
     assert 1e3 * np.linalg.norm(point - left(world), axis=1).mean() < LEAST / 3
     assert "joint-step" not in " ".join(written.notes)
+
+
+DATED = {
+    "joint-step": case("serial", Hidden("joint-step", 3, np.deg2rad(0.1), seed=2), columns=CLOCK, effects=("geometry",)),
+    "tool-slip": case("serial", Hidden("tool-slip", 0, 1e-3, seed=4), columns=CLOCK, effects=("geometry",)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("cause", DATED)
+def test_a_row_that_states_a_time_is_predicted_as_of_then(cause, tmp_path):
+    """Fails if the robot before its step is predicted as it was left, after it or without a time as before it, or if nothing is
+    promised of a row between the last one before the step and the first after it.
+    """
+    write_case(tmp_path, DATED[cause], np.random.default_rng(35))
+    world = draw(DATED[cause], np.random.default_rng(35))
+    study = cf.load_study(tmp_path / "study.toml")
+    first = cf.identify(study.robot, study.measurements(), study.file.effects, starts=1, seed=1)
+    found = first.diagnose(catalogue=(cause,))
+    assert [finding.cause for finding in found.findings] == [cause]
+    rows, payload = world.rows, [PAYLOADS[k] for k in world.rows.payload]
+    (moved,) = found.model.causes
+    last, end = np.array(moved.effect.between) + found.time_origin
+    then, afterwards = measured_points(world.real, rows, world.hidden), left(world)
+    moves = rms(then[rows.time <= last] - afterwards[rows.time <= last])
+    ways = {} if "approach" not in found.inputs else {"approach": rows.approach}
+    dated = found.predict(rows.q, payload=payload, time=rows.time, **ways)
+    undated = found.predict(rows.q, payload=payload, **ways)
+    amid = found.predict(rows.q, payload=payload, time=np.full(len(rows), (last + end) / 2), **ways)
+    for said, true in ((dated, then), (undated, afterwards)):
+        error = rms(said.position - true)
+        assert error < 1.3 * rms(said.sd) < moves / 4
+    either = np.sqrt(np.mean([(amid.position - true) ** 2 for true in (then, afterwards)]))
+    assert 0.4 * moves < rms(amid.sd) < 0.6 * moves
+    assert either < 1.1 * rms(amid.sd)
+    assert not any(need.condition == "time" for need in found.needed)
+
+
+def rms(errors: np.ndarray) -> float:
+    """Root mean square per axis."""
+    return float(np.sqrt(np.mean(np.square(errors))))

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Self
 
 import casadi as ca
 
 from calflow.effects.base import Words
 from calflow.effects.step_change import StepChange
+from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Loads, Row
 from calflow.robot.parts import Parameter
 
@@ -26,6 +28,10 @@ class PayloadStep(StepChange):
     whole = "payloads"
     needs = (*StepChange.needs, "masses", "payload")
     told_by = "weigh the payload, or measure some of the first poses again"
+
+    def later(self, series: Measurements | None) -> Self:
+        """Return the same for later rows, of any time, whose payloads are as stated."""
+        return replace(super().later(series), between=())
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the relative change of mass."""

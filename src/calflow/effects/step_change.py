@@ -25,16 +25,18 @@ class StepChange(Effect):
     """A change of constant size between two rows in measuring order, without a column of its own.
 
     The model's other parameters are of the time after it, and it acts, reversed, on the rows before: the robot as it was left,
-    commands and later measurements know nothing of it. Of images, after says after which it was; of rows, between which
-    fitted ones, where some between them were held out.
+    commands and later measurements know nothing of it, unless they state a time before it. Of images, after says after which it
+    was; of rows, between which fitted ones, where some between them were held out. between [s] are the times of the last fitted
+    row before it and of the first after it, empty where they are not known.
     """
 
     moment: float = 0.5
     after: str = ""
+    between: tuple[float, ...] = ()
 
     needs: ClassVar[tuple[str, ...]] = ("order",)
     dated: ClassVar[bool] = True
-    unnamed: ClassVar[tuple[str, ...]] = ("after",)  # the moment says as much
+    unnamed: ClassVar[tuple[str, ...]] = ("after", "between")  # the moment says as much
     shift_sd: ClassVar[float] = 3e-4  # m
     turn_sd: ClassVar[float] = 1e-4  # rad
 
@@ -53,7 +55,8 @@ class StepChange(Effect):
 
     def at(self, moment: float, data: Measurements) -> Self:
         """Return the same at another moment of the data."""
-        return replace(self, moment=moment, after=_image_before(data, moment) or _between_fitted_rows(data, moment))
+        after = _image_before(data, moment) or _between_fitted_rows(data, moment)
+        return replace(self, moment=moment, after=after, between=_times_about(data, moment))
 
     @classmethod
     def unstatable(cls) -> str:
@@ -73,8 +76,8 @@ class StepChange(Effect):
         return np.asarray((order > last) & (order < fitted[fitted > self.moment].min(initial=np.inf)))
 
     def later(self, series: Measurements | None) -> Self:
-        """Return the same at a moment before any row."""
-        return replace(self, moment=-abs(self.moment))
+        """Return the same at a moment before any row, but for rows on the same clock that state an earlier time."""
+        return replace(self, moment=-abs(self.moment), between=self.between if series is None else ())
 
     def finer(self, data: Measurements) -> tuple[Self, ...]:
         """Return the moments about this one that the coarse search left out."""
@@ -108,9 +111,20 @@ class StepChange(Effect):
         return f"after {self.after or f'row {int(np.floor(self.moment))} in measuring order'}"
 
     def before(self, row: Row) -> ca.SX:
-        """Return 1 for a row before the step, else 0, structurally where none is or its place in the order is not known."""
-        known = self.moment > 0 and row.order.nnz()
-        return (row.order > 0) * (row.order < self.moment) if known else ca.SX(1, 1)
+        """Return 1 for a row before the step, else 0, structurally where none is or its place in the order is not known.
+
+        Of later rows the time tells, and between the fitted ones about the step it is the probability that it is to come.
+        """
+        if self.moment < 0:
+            return self.to_come(row)
+        return (row.order > 0) * (row.order < self.moment) if row.order.nnz() else ca.SX(1, 1)
+
+    def to_come(self, row: Row) -> ca.SX:
+        """Return the probability that the step comes after a row's time, structurally zero where either is not known."""
+        if not (self.between and row.time.nnz()):
+            return ca.SX(1, 1)
+        last, first = self.between
+        return ca.fmin(1, ca.fmax(0, (first - row.time) / (first - last)))
 
     def undone(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
         """Return a point without its change where a row is before it: by a shift (3,), or a shift and a rotation (6,)."""
@@ -156,6 +170,16 @@ def _between_fitted_rows(data: Measurements, moment: float) -> str:
     fitted = data.only(data.train).table["order"].to_numpy(float)
     first, end = fitted[fitted < moment].max(initial=0.0), fitted[fitted > moment].min(initial=np.inf)
     return f"row {first:.0f} and before row {end:.0f} in measuring order" if first and 1 < end - first < np.inf else ""
+
+
+def _times_about(data: Measurements, moment: float) -> tuple[float, ...]:
+    """Return the times of the last fitted row before a moment and of the first after it; empty where they do not tell."""
+    if "time" not in data.given:
+        return ()
+    fitted = data.only(data.train) if "split" in data.table else data
+    order, time = (fitted.table[name].to_numpy(float) for name in ("order", "time"))
+    last, first = time[order < moment].max(initial=-np.inf), time[order > moment].min(initial=np.inf)
+    return (float(last), float(first)) if -np.inf < last < first < np.inf else ()
 
 
 def _spread(moments: np.ndarray, data: Measurements) -> np.ndarray:

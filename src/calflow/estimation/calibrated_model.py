@@ -20,7 +20,7 @@ from calflow.estimation.error_model import ErrorModel, of_parameters
 from calflow.estimation.extrapolation import beyond
 from calflow.estimation.lack_of_fit import WORTH_TELLING
 from calflow.estimation.least_squares import Loss
-from calflow.estimation.needed_conditions import NeededCondition, depended_on
+from calflow.estimation.needed_conditions import NeededCondition, depended_on, to_state
 from calflow.estimation.noise import Label, Noise, PerUnit, Source, stated_noise
 from calflow.estimation.residual_field import ResidualField
 from calflow.files.units import METRE, RADIAN, MeasurementUnit
@@ -164,9 +164,10 @@ class CalibratedModel:
 
     @cached_property
     def inputs(self) -> frozenset[str]:
-        """The conditions of a row on which a prediction or its uncertainty depends: needed, of errors or of alternatives."""
+        """The conditions of a row on which a prediction or its uncertainty depends: its own, of errors or of alternatives."""
         of_alternatives = (depended_on(other.model.later()) for other in self.alternatives)
-        return frozenset(need.condition for need in self.needed).union(self.errors.inputs, *of_alternatives)
+        own = (*(need.condition for need in self.needed), *to_state(self.model.later()))
+        return frozenset(own).union(self.errors.inputs, *of_alternatives)
 
     @property
     def _fitted(self) -> tuple[Model, np.ndarray]:

@@ -24,6 +24,7 @@ from calflow.effects.step_change import StepChange
 from calflow.effects.warming import Warming
 from calflow.estimation.error_model import ErrorModel, SmoothVariances, usual_sizes
 from calflow.estimation.fit import Fit
+from calflow.estimation.needed_conditions import depended_on
 from calflow.estimation.smooth_functions import SIZE, InTime, SmoothFunction, Wandering, in_time, within
 from calflow.estimation.variance_components import SIZES, TEMPERED
 from calflow.measurements.measurements import Measurements
@@ -34,6 +35,7 @@ MIN_REDUCTION = 1e-12  # least relative reduction of a variance by the data
 MOMENT = 1.0  # s after the measurement, within which the shift by a cause grows to its full value
 FADE = 0.05  # share of a measured travel beyond its ends within which its curve fades
 BEYOND_WAVES = 8  # frequencies of a curve beyond its travel, each with cosine and sine
+NEVER_YET = 1e15, 2e15  # s, between which a step comes that has not come at any row
 SHIFT = 8 * 3600.0  # s: how long a robot works on, on average
 BEYOND = 0.1  # share of a joint's travel by which a held-out reading may lie outside the fitted range,
 LEAST_BEYOND = 0.01  # and by so much in any case [rad, or m]: the range of a joint that stood still is none
@@ -92,6 +94,48 @@ class Cooling(SmoothFunction):
         since = ca.fmax(0, row.time - self.end)
         stands = ca.sqrt(1 - ca.exp(-since / SHIFT))
         return self.cause.dimensions(self.growth * p * stands, dims, replace(row, time=since))
+
+
+@dataclass(frozen=True)
+class Undated(SmoothFunction):
+    """A step of the robot between two fitted rows, at a row in the time between: it acts already, or does not.
+
+    The step is given by its effect's id, its figures (see `Effect.figures_text`), part and fitted values.
+    """
+
+    effect: str = ""
+    step: str = "{}"
+    part: str = ""
+    values: tuple[float, ...] = ()
+
+    inputs = ("time",)
+    units, usual = ("1",), 1.0
+
+    @cached_property
+    def _step(self) -> StepChange:
+        """The step, for later rows."""
+        kind = effect_class(self.effect)
+        assert kind is not None
+        assert issubclass(kind, StepChange)
+        return kind.of_figures(self.robot, self.step).later(None)
+
+    @cached_property
+    def _before(self) -> Cause:
+        """The same, which is still to come at any row."""
+        return Cause(self.robot, replace(self._step, between=NEVER_YET), self.part)
+
+    def _values(self, p: ca.SX, row: Row) -> ca.SX:
+        """Return its values times the standard deviation of whether it is to come."""
+        to_come = self._step.to_come(row)
+        return ca.DM(self.values) * p * ca.sqrt(to_come * (1 - to_come))
+
+    def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
+        """Return the dimensions as they were before the step, as far as it may be to come."""
+        return self._before.dimensions(self._values(p, row), dims, row)
+
+    def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
+        """Return the deflection, likewise."""
+        return self._before.deflection(self._values(p, row), state, row, still)
 
 
 @dataclass(frozen=True)
@@ -276,13 +320,16 @@ def beyond_measured(errors: ErrorModel, sizes: SmoothVariances, variance: np.nda
 
 
 def _beyond_causes(result: Fit, data: Measurements) -> Iterator[SmoothFunction]:
-    """Yield the continuations of causes: of curves past their travel, and of warm-ups past the end."""
+    """Yield what is not known of causes: of curves past their travel, of warm-ups past the end, and when a step was."""
     model = result.model
     for cause in model.causes:
         own, effect = model.columns(cause), cause.effect
         if curve := Curve.of(cause, result.estimate[own], result.covariance[np.ix_(own, own)]):
             at = curve.travel
             yield BeyondTravel(data.robot, cause.joint - 1, at.low, at.high, at.length, curve.rms_elsewhere)
+        if isinstance(effect, StepChange) and "time" in depended_on(replace(model, effects=(cause.later(None),))):
+            values = tuple(map(float, model.values(cause, result.estimate)))
+            yield Undated(data.robot, cause.id, effect.figures_text, cause.part, values)
         if isinstance(effect, AxisStraightness):
             yield _beyond_rail(cause, effect, result)
         if isinstance(effect, Warming) and effect.constant and not effect.of_measuring():

@@ -37,12 +37,13 @@ def needed_conditions(model: Model, estimate: np.ndarray, data: Measurements) ->
     """Return the optional conditions on which the markers' positions depend, and the size of each one's effect in the fitted rows.
 
     The graph's sparsity tells them, so that an effect need not declare its inputs. Conditions on which only the measuring device
-    depends are left out.
+    depends are left out, and the time of a step, after which rows without a time are taken to be.
     """
-    model, rows = model.later(), data.only(data.train)
+    rows = data.only(data.train)
+    model = model.later(rows)
     needed = []
-    for condition in _to_state(model):
-        dependent = [effect.id for effect in model.effects if condition in _to_state(replace(model, effects=(effect,)))]
+    for condition in to_state(model):
+        dependent = [effect.id for effect in model.effects if condition in to_state(replace(model, effects=(effect,)))]
         left = tuple(name for name in model.given if name != condition)
         lost = _points(model, estimate, rows) - _points(replace(model, given=left), estimate, rows)
         needed.append(
@@ -95,7 +96,8 @@ def depended_on(model: Model) -> list[str]:
     return [name for name, span in Row.spans(model.robot, model.given).items() if depends[span].any()]
 
 
-def _to_state(model: Model) -> list[str]:
+def to_state(model: Model) -> list[str]:
+    """Return the given conditions that a marker's position depends on and that are not zero unless stated."""
     return [name for name in depended_on(model) if name in model.given and name not in AT_REST]
 
 
