@@ -26,8 +26,7 @@ from calflow.model import Model
 HUBER = 4.5  # standard deviations from which rows are down-weighted
 SETTLED = 0.1  # relative change of noise and weights below which a fit is not repeated
 MOST_LEVERAGE = 0.95  # of a residual, by which it is studentised
-SCALINGS = 4  # fits at most, in which the scales of the causes' priors settle
-WEIGHINGS = 3  # fits at most, in which the weights of outliers settle
+WEIGHINGS = 3  # fits at most, in which the weights of outliers and the scales of the causes' priors settle
 ALIKE = np.ones(1)  # factor of all rows without outliers
 
 
@@ -211,7 +210,7 @@ class Fitted:
         """Return a single fit of the study's effects with these causes, at this model's weights; not for tests."""
         model = self._with(causes)
         start = self.model.handed_on(self.fit.estimate, model)
-        for _ in range(SCALINGS):
+        for _ in range(WEIGHINGS):
             result = fit(LeastSquares.of(model, self.data, self.noise), start[None], self.fit.loss)[0]
             model, start = scaled(result), result.estimate
             if model is result.model:
@@ -236,14 +235,9 @@ class Fitted:
             near = self.noise.sigma / self.outlier_factor * np.sqrt(1 - share)
             sigma = np.where(self.device.estimated, near, self.device.sigma)
             bare = replace(self.device, discrepancy=PerUnit(), sigma=sigma)
-            factor, discrepancy = self.outlier_factor, self.noise.discrepancy
-            for _ in range(SCALINGS):
-                found = _settled(model, self.data, bare, start, self.fit.loss, factor, discrepancy)
-                model, start = scaled(found.fit), found.fit.estimate
-                if model is found.model:
-                    break
-                factor, discrepancy = found.outlier_factor, found.noise.discrepancy
-            self.visited[held] = found
+            self.visited[held] = _settled(
+                model, self.data, bare, start, self.fit.loss, self.outlier_factor, self.noise.discrepancy
+            )
         return replace(self.visited[held], background=self.background, shared=self.shared, visited=self.visited)
 
 
@@ -271,7 +265,8 @@ def _settled(
 ) -> Fitted:
     """Return the fit from a start, with rows beyond HUBER standard deviations weighted as by Huber (1964).
 
-    outlier_factor (n_rows,) is the factor by which rows exceeded that in the fit before, and discrepancy that fit's.
+    The priors of its causes are on their likeliest scales. outlier_factor (n_rows,) is the factor by which rows exceeded that in
+    the fit before, and discrepancy that fit's.
     """
     for _ in range(WEIGHINGS):
         weighed = _down_weighted(device, outlier_factor, discrepancy)
@@ -279,7 +274,8 @@ def _settled(
         alike = np.where(noise.estimated, noise.sigma / outlier_factor, device.sigma)
         before = noise.total / replace(noise, sigma=alike).total
         outlier_factor, discrepancy, start = _excess(settled, before), noise.discrepancy, settled.estimate
-        if np.allclose(outlier_factor, before, rtol=SETTLED):
+        model = scaled(settled)
+        if model is settled.model and np.allclose(outlier_factor, before, rtol=SETTLED):
             break
     return Fitted(settled, data, noise, lack, device, outlier_factor=before)
 
