@@ -45,6 +45,20 @@ def test_data_that_clearly_say_26_mrad_are_believed():
     assert {told(size, error * USUAL)[0] for size in usual for error in (0.01, 0.1, 1.0)} == {1.0}
 
 
+def test_of_two_scales_that_are_nearly_as_likely_the_present_one_stays():
+    """Fails if a fit goes to and fro between two scales, each a little likelier by the other's estimate."""
+    error, changes = 0.3 * USUAL, []
+    for size in np.linspace(1.0, 4.0, 31) * USUAL:
+        first = told(size, error)[0]
+        prior = np.array([first * USUAL])
+        variance = 1 / (error**-2 + prior**-2)
+        mean = np.array([size * error**-2]) * variance
+        changes.append(on_likeliest_scale(mean, np.diag(variance), (np.zeros(1), prior), first)[0] / first)
+    assert set(changes) == {1.0}
+    assert told(2.2 * USUAL, error)[0] == 1.0  # as likely on a scale of two
+    assert told(4.0 * USUAL, error)[0] == 2.0
+
+
 @pytest.mark.parametrize(
     ("over_usual", "over_error"), [(1.0, 5.0), (3.0, 6.0), (8.0, 8.0), (20.0, 20.0), (20.0, 100.0)]
 )

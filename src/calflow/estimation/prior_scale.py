@@ -18,6 +18,7 @@ import scipy
 from calflow.model import Model
 
 PULLED = 0.1  # standard deviations: a prior that moves an estimate by less is as good as none
+ODDS = 3.0  # of a scale over the present one, from which it takes its place: of two that are as likely, none would stay
 WIDER = 2.0 ** np.arange(7)  # scales of a cause's priors, over the usual ones
 SCALES = 2.0 ** np.arange(-5, 1.5, 0.5)  # factors of the prior standard deviations, equally probable a priori
 
@@ -78,12 +79,14 @@ def on_likeliest_scale(
     """Return the likeliest of the scales `WIDER` of a cause's priors, and its posterior mean and covariance on that scale.
 
     Arguments are as for `by_scale`, of the cause's parameters alone; scale is the one that they are on, over the usual, and stays
-    where that is as good.
+    where that is nearly as good.
     """
     if not np.diag(covariance).any():  # all at bounds
         return scale, estimate, covariance
     probable, means, covariances = by_scale(estimate, covariance, prior, np.full(len(estimate), True), WIDER / scale)
-    best = int(np.argmax(probable / WIDER))
-    if (np.abs(means[best] - estimate) <= PULLED * np.sqrt(np.diag(covariances[best]))).all():
+    probable /= WIDER
+    best = int(np.argmax(probable))
+    apart = np.abs(means[best] - estimate) > PULLED * np.sqrt(np.diag(covariances[best]))
+    if not apart.any() or probable[best] < ODDS * probable[WIDER == scale].sum():
         return scale, estimate, covariance
     return float(WIDER[best]), means[best], covariances[best]
