@@ -56,7 +56,7 @@ def test_of_two_scales_that_are_nearly_as_likely_the_present_one_stays():
         changes.append(on_likeliest_scale(mean, np.diag(variance), (np.zeros(1), prior), first)[0] / first)
     assert set(changes) == {1.0}
     assert told(2.2 * USUAL, error)[0] == 1.0  # as likely on a scale of two
-    assert told(4.0 * USUAL, error)[0] == 2.0
+    assert told(3.0 * USUAL, error)[0] == 2.0
 
 
 @pytest.mark.parametrize(

@@ -87,6 +87,6 @@ def on_likeliest_scale(
     probable /= WIDER
     best = int(np.argmax(probable))
     apart = np.abs(means[best] - estimate) > PULLED * np.sqrt(np.diag(covariances[best]))
-    if not apart.any() or probable[best] < ODDS * probable[WIDER == scale].sum():
+    if not apart.any() or probable[best] < ODDS * probable[scale == WIDER].sum():
         return scale, estimate, covariance
     return float(WIDER[best]), means[best], covariances[best]
