@@ -659,11 +659,12 @@ def test_headline_says_where_the_error_was_measured() -> None:
     )
     assert "none were held out" in of("train", before, after)
     assert "reduces" not in of("holdout", after, before)
-    assert "the error from 12.50 mm (30.46 mm as measured, with what the device adds or is over since) to" in of(
-        "holdout", before, after, alone=12.5
+    assert (
+        "the error from 12.50 mm (30.46 mm as measured, with the device's own error and what has ended since) to"
+        in of("holdout", before, after, alone=12.5)
     )
     assert "device" not in of("holdout", before, after, alone=30.4)
-    assert "(30.46 mm as measured, with what the device adds or is over since)" in of(
+    assert "(30.46 mm as measured, with the device's own error and what has ended since)" in of(
         "holdout", before, after, alone=30.4, largest=41.0
     )
 

@@ -256,7 +256,7 @@ def look_for_structure(outcome: RunOutcome) -> Iterator[Advice]:
         return
     left = outcome.unexplained
     suspects = next((finding.suspects for finding in left if finding.suspects), "")
-    of_it = "" if len(left) == 1 else " of a part of it"
+    of_it = "" if len(left) == 1 else " as a part of it"
     may_be = f"Suspected{of_it}: {suspects}; these poses do not show it clearly"
     why = may_be if suspects else f"Nothing that was tested explains it{_nearest(outcome)}"
     sentence = (

@@ -259,7 +259,7 @@ def headline(outcome: RunOutcome) -> str:
         return f"At poses {seen}, the nominal robot is off by {mm(before)} {unit} on average."
     verb, (whole, _, most) = "reduces" if now < before else "increases", steps[0].figures
     apart = abs(whole - before) > DEVICE * whole or abs(most - most_before) > DEVICE * most
-    device = f" ({mm(whole)} {unit} as measured, with what the device adds or is over since)" if apart else ""
+    device = f" ({mm(whole)} {unit} as measured, with the device's own error and what has ended since)" if apart else ""
     return (
         f"At poses {seen}, calibration {verb} the error from {mm(before)} {unit}{device} to {mm(now)} {unit} "
         f"on average, and the largest from {mm(most_before)} {unit} to {mm(most_now)} {unit}."
