@@ -125,7 +125,6 @@ def test_several_orders_of_a_joint_are_one_finding_of_their_family():
     ("nonlinear-joint-stiffness", "torque-backlash", 2, "nonlinear compliance of joint 2"),
     ("gear-ratio-error", "joint-eccentricity", 2, "transmission error of joint 2"),
     ("tool-deflection", "tool-sag", 0, "compliance of the tool"),
-    ("joint-hysteresis", "joint-backlash", 2, "lost motion of joint 2"),
 ])  # fmt: skip
 def test_two_forms_of_one_thing_are_one_finding(name, other, joint, family):
     """Fails if two names are told as certain of what may be one thing in a third form, or one of them is lost."""

@@ -59,9 +59,8 @@ def test_a_program_is_not_written_over_and_comes_before_its_summary(cell):
     (cell / "sum.csv").unlink()
     (cell / "file").write_text("")
     answer = cell.calflow(*asked, "--out", cell / "file" / "points.ls")
-    assert answer.code == 1
-    assert "Finished stages" not in answer.err
-    assert "once this is corrected" in answer.err
+    assert answer.code == 2
+    assert "is no folder" in answer.err
     assert not (cell / "sum.csv").exists()
 
 

@@ -612,7 +612,7 @@ def test_a_run_is_not_put_into_its_study_s_folder(small):
 
 @pytest.mark.parametrize(
     ("name", "column"),
-    [("parameters", "estimate"), ("parameters", "parameter"), ("covariance", "parameter"), ("noise", "source"),
+    [("parameters", "estimate"), ("parameters", "parameter"), ("covariance", "parameter"), ("effects", "variant"),
      ("faults", "statement")],
 )  # fmt: skip
 def test_a_table_of_another_version_is_one_message(finished, name, column):

@@ -42,8 +42,8 @@ ITS_ANGLE, ITS_TORQUE = "q", "tau"  # of the cause's own joint
 SMOOTH_IN = {TRANSMISSION: (ITS_ANGLE,), NONLINEAR: (ITS_TORQUE,), OF_THE_FRAME: IN_TIME}
 # Families whose members at one place are forms of one thing, and what they depend on: several that are found are one finding.
 FORMS_OF_ONE = {
-    TRANSMISSION: "the joint's reading", NONLINEAR: "the joint's load", LOST_MOTION: "the side from which the joint comes",
-    OF_THE_FRAME: "time", OF_THE_TOOL: "the tool's load",
+    TRANSMISSION: "the joint's reading", NONLINEAR: "the joint's load", OF_THE_FRAME: "time",
+    OF_THE_TOOL: "the tool's load",
 }  # fmt: skip
 REVERSALS = "vary the travel since the last reversal, from tenths of a degree (a slide: of a millimetre) to many"
 JOINT_ALONE = "move the joint alone over all its travel, and measure closely on the way"
