@@ -150,11 +150,9 @@ def _refined(data: Measurements, reference: Reference, block: TurnedBlock) -> tu
         settled, block = np.array_equal(needed, block.rows), replace(block, rows=needed)
         if settled:
             break
-    return (
-        None
-        if fit.scale >= SUSPECT_SCALE or _leaves_a_step(data, fit, block)
-        else (float((fit.deviations**2).sum()), block)
-    )
+    if fit.scale >= SUSPECT_SCALE or _leaves_a_step(data, fit, block):
+        return None
+    return float((fit.deviations**2).sum()), block
 
 
 def _leaves_a_step(data: Measurements, fit: FittedSetup, block: TurnedBlock) -> bool:
