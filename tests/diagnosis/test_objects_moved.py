@@ -26,17 +26,25 @@ def lengths(rng: np.random.Generator) -> pd.DataFrame:
     return pd.DataFrame(np.degrees(q), columns=READINGS).assign(length_mm=1e3 * length)
 
 
+def touching(sockets: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Readings (n, 6) [rad] that put the ball into sockets (n, 3) [m]: Newton's steps from anywhere, within the limits."""
+    q, step = rng.uniform(ARM["LOW"], ARM["HIGH"], (len(sockets), 6)), 1e-7
+    while np.abs(off := ARM["ball"](q) - sockets).max() > 1e-8:
+        slopes = [(ARM["ball"](q + step * axis) - sockets - off) / step for axis in np.eye(6)]
+        q = q - np.einsum("nki,ni->nk", np.linalg.pinv(np.stack(slopes, axis=-1)), off)
+        outside = ((q < ARM["LOW"]) | (q > ARM["HIGH"])).any(axis=1)
+        q[outside] = rng.uniform(ARM["LOW"], ARM["HIGH"], (outside.sum(), 6))
+    return q
+
+
 def touches(rng: np.random.Generator) -> pd.DataFrame:
     """Touches of two sockets in four places; the second pair slides after half of its touches, 36 of all."""
-    rows = []
-    places = [(0.75, -0.2, 0.3), (0.65, 0.35, 0.55), (-0.1, 0.8, 0.45), (0.35, -0.7, 0.85)]
-    for placement, place in enumerate(places, 1):
-        for touch in range(24):
-            name = ("left", "right")[touch % 2]
-            slid = KNOCK * (placement == 2 and touch >= 12)
-            at = np.array(place) + (name == "right") * ARM["BESIDE"] + slid + rng.normal(0, 3e-5, 3)
-            rows.append([str(placement), name, *np.degrees(ARM["touching"](at, rng))])
-    return pd.DataFrame(rows, columns=["placement", "socket", *READINGS])
+    places = np.array([(0.75, -0.2, 0.3), (0.65, 0.35, 0.55), (-0.1, 0.8, 0.45), (0.35, -0.7, 0.85)])
+    placement, touch = np.repeat([1, 2, 3, 4], 24), np.tile(np.arange(24), 4)
+    right, slid = touch % 2 == 1, (placement == 2) & (touch >= 12)
+    at = places[placement - 1] + np.outer(right, ARM["BESIDE"]) + np.outer(slid, KNOCK) + rng.normal(0, 3e-5, (96, 3))
+    named = {"placement": placement.astype(str), "socket": np.where(right, "right", "left")}
+    return pd.DataFrame(named | dict(zip(READINGS, np.degrees(touching(at, rng)).T, strict=True)))
 
 
 @pytest.mark.parametrize(("study", "rows", "moment"), [("wire", lengths, 70), ("sockets", touches, 36)])
