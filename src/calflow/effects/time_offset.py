@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Self
 
 import casadi as ca
 import numpy as np
@@ -16,21 +17,28 @@ from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
 
 SD, BOUND = 10e-3, 0.5  # s
+LINE_SD, LINE_BOUND = 3e-5, 1e-3  # s/px: 30 ms for an image of 1000 rows
 STILL = 1e-3  # rad/s, or m/s: below it, an arm counts as at rest
 
 
 @dataclass(frozen=True)
 class TimeOffset(Effect):
-    """dq = t · speed + t² / 2 · acceleration: the arm moved on for t between the reading of its joints and the measurement."""
+    """dq = t · speed + t² / 2 · acceleration: the arm moved on for t between the reading of its joints and the measurement.
+
+    A rolling shutter exposes an image's rows one after the other: t is that of the first row, and grows by a row's time each.
+    """
+
+    shutter: str = ""
 
     id = "time-offset"
     title = "time offset of joints and measurement"
+    forms = {"": "", "rolling": "an image's rows one after the other"}
     words = Words(
         "time offset",
         "the arm was measured later, or earlier, than its joints were read; its size holds where these keep their acceleration",
         "how much later",
     )
-    readable = {"s": (1e3, "ms")}
+    readable = {"s": (1e3, "ms"), "s/px": (1e6, "µs/px")}
     whole = "device"
     needs = ("speed",)
     told_by = "measure some poses at rest too, or trigger joints and device by one signal"
@@ -46,14 +54,19 @@ class TimeOffset(Effect):
         """Whether it belongs to the measuring: it does, since an arm at rest does not show it."""
         return True
 
+    @classmethod
+    def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
+        """Return its forms, a rolling shutter's for images alone."""
+        return tuple(form for form in super().variants(robot, data) if not form.shutter or "image_row" in data.given)
+
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return the time offset."""
-        return (
-            Parameter(self.id, self.whole, "t", "s", SD, -BOUND, BOUND, meaning="by how much later it was measured"),
-        )
+        """Return the time from row to row of a rolling shutter, and the time offset."""
+        line = Parameter(self.id, self.whole, "line", "s/px", LINE_SD, -LINE_BOUND, LINE_BOUND, meaning="from row to row")
+        late = Parameter(self.id, self.whole, "t", "s", SD, -BOUND, BOUND, meaning="by how much later it was measured")
+        return (line, late) if self.shutter else (late,)
 
     def size(self, p: ca.SX, own: Sequence[Parameter]) -> ca.SX:
-        """Return the time offset, negative if the arm was measured before its joints were read."""
+        """Return the time offset, negative if the arm was measured before its joints were read; of rows that from row to row."""
         return p[0]
 
     def variable(self, joint: int) -> Variable:
@@ -64,5 +77,6 @@ class TimeOffset(Effect):
         """Return the motion of the joints during the offset."""
         if not row.speed.nnz():
             return still
-        turned = p[0] * row.speed + p[0] ** 2 / 2 * row.acceleration
+        late = p[1] + p[0] * row.image_row if self.shutter else p[0]
+        turned = late * row.speed + late**2 / 2 * row.acceleration
         return replace(still, joint=ca.DM(self.robot.reading_matrix) @ turned)

@@ -18,7 +18,7 @@ from calflow.robot.mechanism import Row
 from calflow.robot.robot import Robot
 
 HOW_TO_GO_ON = '--without-conditions (missing = "widen") goes on with a wider standard deviation'
-AT_REST = ("speed", "acceleration")  # zero unless stated
+AT_REST = ("speed", "acceleration", "image_row")  # zero unless stated
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -38,7 +38,7 @@ from calflow.robot.mechanism import NUMBERED, OPTIONAL, Row, name_number
 from calflow.robot.robot import Robot
 
 SPREAD = 0.2  # K: standard deviation below which temperatures count as constant
-DERIVED = ("order", "range", "session", *NUMBERED)  # conditions that a series may lack, or that are recomputed
+DERIVED = ("order", "range", "session", "image_row", *NUMBERED)  # that a series may lack, or that are recomputed
 PAUSE, GAPS_OF_PAUSE = 900.0, 10.0  # s and median times between rows: one longer than both is a pause
 SAME_READINGS = 0.02  # rad or m: largest difference between joint readings of one pose
 
@@ -378,10 +378,12 @@ def combined(parts: Sequence[Measurements]) -> Measurements:
 
 
 def numbering_images(data: Measurements) -> Measurements:
-    """Return the rows with the numbers of camera and target (see `name_number`) where all are of images."""
+    """Return the rows with the numbers of camera and target where all are of images, and where in an image the arm moves."""
     names = {number: data.imaged(label) for number, label in NUMBERED.items()} if data.in_images else {}
-    numbers = {number: [*map(name_number, each)] for number, each in names.items()}
-    return replace(data, table=data.table.drop(columns=[*NUMBERED], errors="ignore").assign(**numbers))
+    numbers: dict[str, Any] = {number: [*map(name_number, each)] for number, each in names.items()}
+    if data.in_images and "speed" in data.given:
+        numbers["image_row"] = data.table["v"]
+    return replace(data, table=data.table.drop(columns=[*NUMBERED, "image_row"], errors="ignore").assign(**numbers))
 
 
 def _notes(parts: Sequence[Measurements], shared: Sequence[str], split: bool) -> Iterator[str]:

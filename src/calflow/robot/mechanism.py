@@ -27,7 +27,7 @@ BY_JOINT = ("approach", "travel", "torque", "speed", "acceleration")
 NUMBERED = {"camera_number": "camera", "target_number": "target"}  # the label that each is the number of
 OPTIONAL = (
     "approach", "travel", "wrench", "torque", "time", "temperature", "order", "range", "session", "speed", "acceleration",
-    *NUMBERED,
+    "image_row", *NUMBERED,
 )  # fmt: skip
 READINGS = "q{joint}_{deg|mm}"  # the columns of joint readings
 VIAS = "via{joint}_{deg|mm}"  # the same for a via pose
@@ -132,7 +132,7 @@ class Row:
     and moment at the marker, in the base frame; torque: measured motor torques, which replace the computed ones; time:
     from the first row; order: position in measuring order; range: distance from the measuring device; session, and of
     images camera_number, target_number: see `name_number`; speed, acceleration: first and second time derivatives of
-    readings, zero if unknown.
+    readings, zero if unknown; image_row: of images of a moving arm, how far below the first row the point is [px].
     """
 
     reading: ca.SX
@@ -149,6 +149,7 @@ class Row:
     session: ca.SX
     speed: ca.SX
     acceleration: ca.SX
+    image_row: ca.SX
     camera_number: ca.SX
     target_number: ca.SX
     q: ca.SX
