@@ -61,7 +61,9 @@ class TimeOffset(Effect):
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the time from row to row of a rolling shutter, and the time offset."""
-        line = Parameter(self.id, self.whole, "line", "s/px", LINE_SD, -LINE_BOUND, LINE_BOUND, meaning="from row to row")
+        line = Parameter(
+            self.id, self.whole, "line", "s/px", LINE_SD, -LINE_BOUND, LINE_BOUND, meaning="from row to row"
+        )
         late = Parameter(self.id, self.whole, "t", "s", SD, -BOUND, BOUND, meaning="by how much later it was measured")
         return (line, late) if self.shutter else (late,)
 
