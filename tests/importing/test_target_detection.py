@@ -156,6 +156,15 @@ def test_why_an_image_is_left_out_is_said(tmp_path):
     turned = written(tmp_path, **(said | {"columns": said["rows"], "rows": said["columns"]}))
     answer = in_process("detect", tmp_path / "good.png", "--target", turned, "--into", tmp_path / "other")
     assert "are columns and rows exchanged" in answer.err
+    other = written(tmp_path, **(said | {"dictionary": "DICT_4X4_250"}))
+    answer = in_process("detect", tmp_path / "good.png", "--target", other, "--into", tmp_path / "other")
+    assert f"markers of {said['dictionary'].rsplit('_', 1)[0]}_" in answer.err
+    joints.write_text("image,q1_deg\nimg_1.png,1\nimg_2.png,3\n", encoding="utf-8")
+    answer = in_process(
+        "detect", tmp_path / "good.png", "--target", board, "--joints", joints, "--into", tmp_path / "other"
+    )
+    assert "joints.csv" in answer.err
+    assert "names none of the images: expected good.png, found img_1.png and img_2.png" in answer.err
     assert left_out[["text.png", "gone.png"]].tolist() == ["cannot be read as an image", "is not there"]
     rows = pd.read_csv(tmp_path / "study" / "measurements.csv")
     assert (rows["q2_deg"] == 2).all()
@@ -216,7 +225,7 @@ def test_a_target_that_cannot_be_is_refused(tmp_path):
     """Fails if sizes that are missing, or a dictionary that there is not, are found out by a traceback."""
     with pytest.raises(InputError, match="marker_mm less than size_mm"):
         detect_targets([], written(tmp_path, **KINDS["charuco"] | {"marker_mm": 40}))
-    with pytest.raises(InputError, match="needs marker, dictionary"):
+    with pytest.raises(InputError, match="needs marker_mm, dictionary"):
         detect_targets([], written(tmp_path, kind="charuco", columns=5, rows=4, size_mm=30))
     with pytest.raises(InputError, match="DICT_6X6_250"):
         detect_targets([], written(tmp_path, **KINDS["charuco"] | {"dictionary": "DICT_6X6_25"}))

@@ -10,7 +10,7 @@ import click
 from calflow.commands.console import FILE, FOLDER, cli, say, say_notes
 from calflow.files.deferred import pd
 from calflow.files.problems import Problem, escaped, refuse, refuse_any
-from calflow.files.words import plural
+from calflow.files.words import listed, plural
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 READING = re.compile(r"q\d+_\w+")  # the name of a column of joint readings
@@ -27,7 +27,7 @@ MOST_SAID = 10  # most images left out that are named
 def detect_command(images: tuple[Path, ...], target: Path, joints: Path | None, into: Path) -> None:
     """Find the points of a printed target in images, and write them as measurements.
 
-    IMAGE may be a folder: every file in it counts. Pictures of what was found are written into the folder detections,
+    IMAGE may be a folder: every image in it counts. Pictures of what was found are written into the folder detections,
     and why an image was left out into detections/left_out.csv.
     """
     from calflow.files.tables import csv_text
@@ -90,7 +90,12 @@ def _check_readings(readings: pd.DataFrame, files: list[str], path: Path | None)
     again = each.index[each.duplicated("image")]
     wrong |= {row: f"has other joint readings in line {first[readings['image'][row]]}" for row in again}
     refuse_any(Problem(f"{readings['image'][row]}: {what}", path, row) for row, what in wrong.items())
-    absent = [name for name in dict.fromkeys(readings["image"].astype(str)) if name not in files]
+    names = dict.fromkeys(readings["image"].astype(str))
+    absent = [name for name in names if name not in files]
+    if len(absent) == len(names):
+        raise refuse(
+            f"its column 'image' names none of the images: expected {listed(files, 2)}, found {listed(absent, 2)}", path
+        )
     more = f" and {len(absent) - 1} more" if len(absent) > 1 else ""
     return (f"the readings of {escaped(absent[0])}{more} belong to no image that was given",) if absent else ()
 

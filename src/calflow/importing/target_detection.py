@@ -47,7 +47,7 @@ class TargetFile(FileModel):
     @field_validator("dictionary")
     @classmethod
     def _is_one_of_opencvs(cls, name: str) -> str:
-        names = [name for name in dir(_opencv().aruco) if name.startswith("DICT_")]
+        names = _dictionaries(_opencv())
         if name and name not in names:
             raise ValueError(f"expected one of OpenCV's, such as DICT_6X6_250, found '{name}'{nearest(name, names)}")
         return name
@@ -57,7 +57,8 @@ class TargetFile(FileModel):
         needs = {"charuco": ("size", "marker", "dictionary"), "markers": ("marker", "gap", "dictionary")}
         lacking = [name for name in needs.get(self.kind, ("size",)) if not getattr(self, name)]
         if lacking:
-            raise ValueError(f'kind = "{self.kind}" needs {", ".join(lacking)}, as printed')
+            keys = [name if name == "dictionary" else f"{name}_mm" for name in lacking]
+            raise ValueError(f'kind = "{self.kind}" needs {", ".join(keys)}, as printed')
         if self.kind == "charuco" and (self.marker or 0.0) >= (self.size or 0.0):
             raise ValueError("a marker is inside a square of the board: expected marker_mm less than size_mm")
         return self
@@ -119,6 +120,8 @@ def detect_targets(images: Sequence[Path], target: Path) -> Detections:
             continue
         detected = find(grey)
         if isinstance(detected, str):
+            if printed.dictionary and not tables and not left_out:
+                detected += _of_another(cv2, printed.dictionary, grey)
             left_out[path.name] = detected
             continue
         size = grey.shape
@@ -152,6 +155,27 @@ def _opencv() -> Any:
     return cv2
 
 
+def _dictionaries(cv2: Any) -> list[str]:
+    """The names of all dictionaries of markers, those of few markers before the larger ones that contain them."""
+    every = [name for name in dir(cv2.aruco) if name.startswith("DICT_")]
+    return sorted(every, key=lambda name: len(_dictionary(cv2, name).bytesList))
+
+
+def _dictionary(cv2: Any, name: str) -> Any:
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+
+
+def _of_another(cv2: Any, dictionary: str, grey: np.ndarray) -> str:
+    """The message that an image shows markers of another dictionary than stated, or an empty string."""
+    read = {
+        name: len(_numbers(cv2.aruco.ArucoDetector(_dictionary(cv2, name)).detectMarkers(grey)[1]))
+        for name in _dictionaries(cv2)
+    }
+    likeliest = max(read, key=lambda name: read[name])
+    more = read[likeliest] >= FEWEST_IMAGE_POINTS + read[dictionary]
+    return f"; it shows {read[likeliest]} markers of {likeliest}" if more else ""
+
+
 def _rows(detected: Detected, number: int, name: str) -> pd.DataFrame:
     places = {f"px_{axis}_mm": np.round(1e3 * detected.points[:, k], PLACES) for k, axis in enumerate("xyz")}
     image = {"u_px": np.round(detected.image[:, 0], 4), "v_px": np.round(detected.image[:, 1], 4)}
@@ -174,7 +198,7 @@ def _finder(cv2: Any, printed: TargetFile) -> Any:
         return lambda grey: _checkerboard(cv2, printed, grey)
     if printed.kind == "circles":
         return lambda grey: _circles(cv2, printed, grey)
-    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, printed.dictionary))
+    dictionary = _dictionary(cv2, printed.dictionary)
     parameters = cv2.aruco.DetectorParameters()
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
     shape = (printed.columns, printed.rows)
@@ -196,7 +220,7 @@ def _charuco(board: Any, detector: Any, grey: np.ndarray) -> Detected | str:
     found, read = len(numbers), len(markers)
     if found < FEWEST_IMAGE_POINTS:
         exchanged = not found and read > FEWEST_IMAGE_POINTS
-        wrong = "; are columns and rows exchanged, or is legacy wrong?" if exchanged else ""
+        wrong = "; are columns and rows exchanged, are they others, or is legacy wrong?" if exchanged else ""
         return (
             f"{plural(found, 'corner')} found, {FEWEST_IMAGE_POINTS} are needed ({plural(read, 'marker')} read{wrong})"
         )

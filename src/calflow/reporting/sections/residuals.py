@@ -150,7 +150,11 @@ def residuals_section(material: Material) -> list[Block]:
     some = f" {len(shown)} of {len(material.data)} rows are shown." if len(shown) < len(material.data) else ""
     drawn, plots = material.drawn_words, Plots(material)
     directed, rows = _directed(material), by_row(material)
-    enlarged = f", drawn {_factor(material):,.0f} times enlarged" if directed else " (lengths have no direction: dots)"
+    enlarged = (
+        f", drawn {_factor(material):,.0f} times enlarged"
+        if directed
+        else " (as dots: they have no direction in space)"
+    )
     return [
         Paragraph(INTRODUCTION, keep=True),
         Plot("residuals_place", plots.residuals_by_place(), PLACE + drawn, rows),
