@@ -151,7 +151,7 @@ def fields(fitted: Fitted) -> list[SmoothFunction]:
         return [JointField(robot, (i,)) for i in sorted(set().union(*groups))]
     for group in map(sorted, groups):
         nodes, rng = fitted.data.joints[first[some]][:, group], np.random.default_rng(0)
-        likeliest = learnt(nodes, moved[:, :, 0], 0.0, 0.0, rng, moved[:, :, 1:])
+        likeliest = learnt(nodes, moved[:, :, 0], 0.0, rng, moved[:, :, 1:])
         lengths = tuple((likeliest.length * likeliest.range).tolist())
         together.append(Field(robot, tuple(group), lengths))
     return together

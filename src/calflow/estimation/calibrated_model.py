@@ -238,36 +238,34 @@ class CalibratedModel:
         """Return the predictive variance of each row's position per axis, shape (n_rows, 3) [m²].
 
         It is the sum of the variances by the parameters, by the choice of the model and by the model's smooth errors given the data
-        at that place and time (with a residual field, by the field instead). Noise estimated from the fit itself is included.
+        at that place and time, less what a residual field explains. Noise estimated from the fit itself is included.
 
         It is of the markers, or of places (n_rows, 3) [m] in the last link's frame: a marker's error says nothing of what the data
         cannot tell from its place on the link, as the last link's length.
         """
         of_choice = (choice_errors(self.alternatives, *self._fitted, points_at(conditions, places)) ** 2).sum(axis=2)
-        if self.field:
-            return np.asarray(of_choice + self.parameter_variance(conditions, places) + self.left_variance(conditions))
         every = (self.errors.slopes(*self._fitted, *part) for part in _parts(conditions, places))
-        return of_choice + self._variances(every, METRE)[0]
+        return self._beside_field(of_choice + self._variances(every, METRE)[0], conditions)
 
     def shared_errors(self, conditions: np.ndarray, places: np.ndarray | None = None) -> np.ndarray:
         """Return the errors that rows share, as factors (n_rows, 3, n) [m] of n independent standard normals.
 
-        They hold the errors of the parameters, the smooth errors and the choice of the model, without a residual field; the squares
-        add up to `position_variance` less the part that is independent from row to row.
+        They hold the errors of the parameters, the smooth errors and the choice of the model, as far as a residual field leaves
+        them; the squares add up to `position_variance` less the part that is independent from row to row.
         """
         slopes = self.errors.slopes(*self._fitted, conditions, places)
         choice = choice_errors(self.alternatives, *self._fitted, points_at(conditions, places))
-        return np.concatenate([self.errors.shared(slopes, self.covariance), choice], axis=2)
+        shared = np.concatenate([self.errors.shared(slopes, self.covariance), choice], axis=2)
+        whole = (shared**2).sum(axis=2) + self.errors.rest[METRE] ** 2
+        return shared * np.sqrt(self._beside_field(whole, conditions) / whole)[:, :, None] if self.field else shared
 
     def parameter_variance(self, conditions: np.ndarray, places: np.ndarray | None = None) -> np.ndarray:
         """Return the variance of each row's position per axis (n_rows, 3) [m²] by the parameters' covariance.
 
-        It includes the parameters' offset beside smooth errors (see `ErrorModel`) unless there is a residual field, which corrects
-        it.
+        It includes the parameters' offset beside smooth errors (see `ErrorModel`).
         """
-        covariance = self.errors.about_mean(self.covariance) if self.field else self.covariance
         slopes = (self.model.point_jacobian(self.estimate, *part) for part in _parts(conditions, places, PART_ROWS))
-        return np.concatenate([np.maximum(of_parameters(slope, covariance), 0.0) for slope in slopes])
+        return np.concatenate([np.maximum(of_parameters(slope, self.covariance), 0.0) for slope in slopes])
 
     def left_variance(self, conditions: np.ndarray) -> np.ndarray:
         """Return the variance of position errors beyond those by the parameters and the choice of the model [m²].
@@ -275,8 +273,6 @@ class CalibratedModel:
         Shape (n_rows, 3), or (n_rows, 1) for all axes. Smooth errors and parameters are negatively correlated where rows were
         measured: this is the joint variance less the parameters', for use beside independent draws of the parameters.
         """
-        if self.field:
-            return np.asarray(self.field.variance(self._readings(conditions))[:, None])
         return self._variances((self.errors.slopes(*self._fitted, *part) for part in _parts(conditions)), METRE)[1]
 
     def _variances(self, every: Iterable[np.ndarray], unit: MeasurementUnit) -> tuple[np.ndarray, np.ndarray]:
@@ -299,6 +295,10 @@ class CalibratedModel:
     def field_correction(self, conditions: np.ndarray) -> np.ndarray:
         """Return the residual field's correction of positions, shape (n_rows, 3) [m]; zero without a field."""
         return self.field.correction(self._readings(conditions)) if self.field else np.zeros((conditions.shape[1], 3))
+
+    def _beside_field(self, variance: np.ndarray, conditions: np.ndarray) -> np.ndarray:
+        """Return what a residual field, if there is one, leaves of a variance of positions (n_rows, 3) [m²]."""
+        return self.field.left_of(variance, self._readings(conditions)) if self.field else variance
 
     def _readings(self, conditions: np.ndarray) -> np.ndarray:
         """Return the joint readings (n_rows, n_joints) of packed conditions."""
@@ -330,11 +330,9 @@ class CalibratedModel:
 
         Shape (n_rows, n_axes) [unit²]; 0 where a row has no value in the unit. data must have the conditions that the model needs.
         """
-        device = self.device_sigma(data)[:, None] ** 2
-        if self.field:
-            return np.asarray(self.position_variance(data.conditions) + device)
-        found = self.errors_in_unit(data, unit)
-        return np.where(np.isfinite(found.error), found.variance + device, 0.0)
+        found, device = self.errors_in_unit(data, unit), self.device_sigma(data)[:, None] ** 2
+        variance = self._beside_field(found.variance, data.conditions) if unit == METRE else found.variance
+        return np.where(np.isfinite(found.error), variance + device, 0.0)
 
     def errors_in_unit(self, data: Measurements, unit: MeasurementUnit) -> ErrorsInUnit:
         """Return the errors of rows in a unit.

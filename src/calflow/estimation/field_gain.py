@@ -10,7 +10,7 @@ import scipy
 from calflow.estimation.accuracy import errors, mean_rms_max
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.leverage import halved
-from calflow.estimation.noise import conditions, group_means
+from calflow.estimation.noise import group_means
 from calflow.estimation.progress import SAME, Draws
 from calflow.estimation.residual_field import (
     NOT_PHYSICAL,
@@ -87,11 +87,10 @@ class FieldGain:
         return f"residual field ({NOT_PHYSICAL}) applied: at training poses left out of it {were}"
 
 
-TrainingPoses = tuple[np.ndarray, np.ndarray, float, float]  # readings, left, noise and spent, as for `learnt`
-
-
-def training_poses(calibrated: CalibratedModel, data: Measurements, rng: np.random.Generator) -> TrainingPoses:
-    """Return a field's training data: means over rows of the same readings, of a random subset of very many poses."""
+def training_poses(
+    calibrated: CalibratedModel, data: Measurements, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return the first arguments of `learnt`: means over rows of the same readings, of a random subset of very many poses."""
     train = data.only(data.train)
     left = -errors(calibrated.model, calibrated.estimate, train)
     whole = ~np.isnan(left).any(axis=1)
@@ -104,10 +103,7 @@ def training_poses(calibrated: CalibratedModel, data: Measurements, rng: np.rand
     sigma = np.nan_to_num(calibrated.device_sigma(train))
     noise = np.sqrt(np.mean(sigma**2 / np.bincount(group)[group])) if len(train) else 0.0
     some = np.sort(rng.permutation(len(readings))[:MAX_POSES])
-    free = ~calibrated.at_bound
-    kept = np.diag(calibrated.covariance)[free] / calibrated.model.prior_sd[free] ** 2
-    equations = 3 * len(np.unique(conditions(train))) if len(train) else 1
-    return ALIKE * readings[some], mean[some], float(noise), float(np.clip(1 - kept, 0, 1).sum() / equations)
+    return ALIKE * readings[some], mean[some], float(noise)
 
 
 def gainful_field(
@@ -119,7 +115,7 @@ def gainful_field(
     return (learnt(*poses, rng("field")) if gain.gains else None), gain
 
 
-def gain_of(readings: np.ndarray, left: np.ndarray, noise: float, spent: float, rng: np.random.Generator) -> FieldGain:
+def gain_of(readings: np.ndarray, left: np.ndarray, noise: float, rng: np.random.Generator) -> FieldGain:
     """Return the gain at blocks left out in turn, with hyperparameters and field learnt from the other blocks alone.
 
     Blocks are contiguous in joint space, so that a left-out pose has no near duplicate among the others. The arguments are
@@ -133,9 +129,9 @@ def gain_of(readings: np.ndarray, left: np.ndarray, noise: float, spent: float, 
     mean, variance = np.zeros_like(left), np.zeros(n)
     for k in range(fold.max() + 1):
         out = fold == k
-        field = learnt(readings[~out], left[~out], noise, spent, rng)
+        field = learnt(readings[~out], left[~out], noise, rng)
         mean[out] = field.correction(readings[out])
-        variance[out] = field.variance(readings[out]) + field.rest**2 - field.own**2
+        variance[out] = field.size**2 + field.rest**2 - field.explained(readings[out])
     off = left - mean
     covered = float((np.abs(off) < CERTAIN * np.sqrt(variance)[:, None]).mean())
     return FieldGain(n, block, np.linalg.norm(left, axis=1), np.linalg.norm(off, axis=1), covered)

@@ -60,17 +60,20 @@ class ResidualField:
 
     def correction(self, readings: np.ndarray) -> np.ndarray:
         """Return the correction of predicted positions at readings (k, n_joints), shape (k, 3) [m], to be added."""
-        smooth = self._near(readings) @ self._weights
-        return np.asarray(self.share(readings)[:, None] * smooth)
+        return np.asarray(self.share(readings)[:, None] * (self._near(readings) @ self._weights))
 
-    def variance(self, readings: np.ndarray) -> np.ndarray:
-        """Return the variance per axis (k,) [m²] of the error of corrected positions, without the device's noise.
-
-        Beyond the measured ranges it is the prior variance of the field, plus own².
-        """
+    def explained(self, readings: np.ndarray) -> np.ndarray:
+        """Return how far the field reduces its prior variance per axis (k,) [m²]: nothing beyond the measured ranges."""
         near = self._near(readings)
-        explained = np.einsum("kn,nk->k", near, scipy.linalg.cho_solve(self._factor, near.T))
-        return np.asarray(self.size**2 - self.share(readings) ** 2 * explained + self.own**2)
+        known = np.einsum("kn,nk->k", near, scipy.linalg.cho_solve(self._factor, near.T))
+        return np.asarray((self.size * self.share(readings)) ** 2 * known)
+
+    def left_of(self, variance: np.ndarray, readings: np.ndarray) -> np.ndarray:
+        """Return what the correction leaves of a variance (k, 3) [m²] of errors beyond the device's noise.
+
+        It is less by what the field explains, but no less than what the field leaves of its own prior variance.
+        """
+        return np.maximum(variance, self.size**2 + self.own**2) - self.explained(readings)[:, None]
 
     def share(self, readings: np.ndarray) -> np.ndarray:
         """Return the factor (k,) of the correction: 1 within the measured range of every joint, 0 far beyond."""
@@ -79,28 +82,22 @@ class ResidualField:
 
     @cached_property
     def _factor(self) -> tuple[np.ndarray, bool]:
-        covariance = self._near(self.nodes)
-        covariance[np.diag_indices_from(covariance)] += self.rest**2 + JITTER * self.size**2
-        return scipy.linalg.cho_factor(covariance, lower=True)
+        white = (self.rest / self.size) ** 2 + JITTER
+        return scipy.linalg.cho_factor(self._near(self.nodes) + white * np.eye(len(self.nodes)), lower=True)
 
     @cached_property
     def _weights(self) -> np.ndarray:
         return np.asarray(scipy.linalg.cho_solve(self._factor, self.left))
 
     def _near(self, readings: np.ndarray) -> np.ndarray:
-        """Covariance (k, n) [m²] between the field at readings and at the nodes."""
+        """Correlation (k, n) of the field at readings with that at the nodes."""
         scale = self.range * self.length
         squared = scipy.spatial.distance.cdist(readings / scale, self.nodes / scale, "sqeuclidean")
-        return np.asarray(self.size**2 * np.exp(-0.5 * squared))
+        return np.asarray(np.exp(-0.5 * squared))
 
 
 def learnt(
-    nodes: np.ndarray,
-    left: np.ndarray,
-    noise: float,
-    spent: float,
-    rng: np.random.Generator,
-    beside: np.ndarray | None = None,
+    nodes: np.ndarray, left: np.ndarray, noise: float, rng: np.random.Generator, beside: np.ndarray | None = None
 ) -> ResidualField:
     """Return the residual field whose hyperparameters maximise the marginal likelihood.
 
@@ -108,7 +105,6 @@ def learnt(
         nodes: distinct joint readings (n, n_joints) [rad or m].
         left: measured minus predicted positions (n, 3) [m].
         noise: standard deviation of the device's noise in left, per axis [m]; 0 where unknown.
-        spent: share of the degrees of freedom that the model's parameters used; elsewhere residuals are larger accordingly.
         rng: draws the poses from which hyperparameters are learnt, where there are very many.
         beside: derivatives of the positions by the model's parameters, times the parameters' prior standard deviations
             (n, 3, n_parameters) [m], where these are to be integrated out.
@@ -117,41 +113,36 @@ def learnt(
     scaled = nodes[some] / np.maximum(np.ptp(nodes, axis=0), STILL)
     apart = (scaled[:, None, :] - scaled[None, :, :]) ** 2
     whole = float(np.sqrt(np.mean(left**2)))
-    y = left[some] / whole
-    own = None if beside is None else beside[some] / whole
+    own = np.zeros((len(some), 3, 0)) if beside is None else beside[some] / whole
     n_joints = nodes.shape[1]
     limits = [(np.log(SMALLEST), 1.0)] * 2 + [(np.log(SHORTEST), np.log(LONGEST))] * n_joints
     tried = [
         scipy.optimize.minimize(
             _cost,
             np.array([0.5 * np.log(smooth), 0.5 * np.log(1 - smooth), *np.full(n_joints, np.log(length))]),
-            (apart, y, own), jac=True, method="L-BFGS-B", bounds=limits, options={"maxiter": 60},
+            (apart, left[some] / whole, own), jac=True, method="L-BFGS-B", bounds=limits, options={"maxiter": 60},
         )
         for length, smooth in STARTS
     ]  # fmt: skip
     size, rest, *length = np.exp(min(tried, key=lambda fit: float(fit.fun)).x)
-    lost = np.sqrt(1 / max(1 - spent, 0.5))
-    rest_alone = lost * whole * float(rest)
-    scatter = float(np.sqrt(max(rest_alone**2 - noise**2, 0.0)))
-    return ResidualField(nodes, left, np.array(length), lost * whole * float(size), rest_alone, scatter)
+    scatter = float(np.sqrt(max((whole * rest) ** 2 - noise**2, 0.0)))
+    return ResidualField(nodes, left, np.array(length), whole * float(size), whole * float(rest), scatter)
 
 
-def _cost(logs: np.ndarray, apart: np.ndarray, y: np.ndarray, own: np.ndarray | None) -> tuple[float, np.ndarray]:
+def _cost(logs: np.ndarray, apart: np.ndarray, y: np.ndarray, own: np.ndarray) -> tuple[float, np.ndarray]:
     """Return the negative log marginal likelihood of y (n, 3), and its gradient by the log hyperparameters.
 
     logs holds the logarithms of the standard deviations of field and white part, then of the correlation lengths; apart
-    (n, n, n_joints) are squared differences of inputs, own (n, 3, n_parameters) the effect of standard normal parameters, if any.
+    (n, n, n_joints) are squared differences of inputs, own (n, 3, n_parameters) the effect of standard normal parameters.
     """
     size, rest = np.exp(2 * logs[:2])
     inverse = np.exp(-2 * logs[2:])
     smooth = size * np.exp(-0.5 * apart @ inverse)
     covariance = smooth + (rest + JITTER * size) * np.eye(len(y))
     factor = scipy.linalg.cho_factor(covariance, lower=True)
-    weights, log_root, known = scipy.linalg.cho_solve(factor, y), 0.0, 0.0
-    if own is not None:
-        absorbed, log_root = _absorbed(factor[0], own)
-        weights = weights - absorbed @ np.einsum("nak,na->k", absorbed, y)
-        known = np.einsum("nak,mak->nm", absorbed, absorbed, optimize=True)
+    absorbed, log_root = _absorbed(factor[0], own)
+    weights = scipy.linalg.cho_solve(factor, y) - absorbed @ np.einsum("nak,na->k", absorbed, y)
+    known = np.einsum("nak,mak->nm", absorbed, absorbed, optimize=True)
     spread = y.shape[1] * scipy.linalg.cho_solve(factor, np.eye(len(y))) - weights @ weights.T - known
     value = 0.5 * float(np.vdot(y, weights)) + y.shape[1] * float(np.log(np.diag(factor[0])).sum()) + log_root
     by_smooth = spread * smooth
@@ -167,12 +158,12 @@ def _cost(logs: np.ndarray, apart: np.ndarray, y: np.ndarray, own: np.ndarray | 
 
 def _absorbed(factor: np.ndarray, own: np.ndarray) -> tuple[np.ndarray, float]:
     """Return what parameters of effect own (n, 3, n_parameters) absorb, beside a Cholesky factor, and their log-determinant."""
-    white = scipy.linalg.solve_triangular(factor, own.reshape(len(own), -1), lower=True)
-    along = scipy.linalg.solve_triangular(factor, white, lower=True, trans="T").reshape(own.shape)
+    n, _, k = own.shape
+    white = scipy.linalg.solve_triangular(factor, own.reshape(n, 3 * k), lower=True)
+    along = scipy.linalg.solve_triangular(factor, white, lower=True, trans="T").reshape(3 * n, k)
     # By QR: rounding in the Gram matrix of wide, nearly dependent priors (base and tool) would swallow the identity.
-    stacked = np.vstack([np.eye(own.shape[2]), white.reshape(-1, own.shape[2])])
-    root = np.asarray(np.linalg.qr(stacked, mode="r")).T
-    absorbed = scipy.linalg.solve_triangular(root, along.reshape(-1, len(root)).T, lower=True).T.reshape(own.shape)
+    root = np.asarray(np.linalg.qr(np.vstack([np.eye(k), white.reshape(3 * n, k)]), mode="r")).T
+    absorbed = scipy.linalg.solve_triangular(root, along.T, lower=True).T.reshape(own.shape)
     return absorbed, float(np.log(np.abs(np.diag(root))).sum())
 
 
