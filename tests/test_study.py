@@ -93,6 +93,18 @@ def test_all_that_is_missing_is_told_at_once(small):
     assert [problem.split(";")[0] for problem in told] == ["robot.toml: no such file", *missing]
 
 
+def test_wrong_keys_and_missing_files_are_told_at_once(small):
+    """Fails if a file that a study names is looked for only once the study itself is free of mistakes."""
+    small.edit(
+        "study.toml",
+        ("seed = ", "efects = []\nseed = -"),
+        ('"robot.toml"', '"robbot.toml"'),
+        ("holdout = ", "holdout = 2"),
+    )
+    told = [problem.split(": ")[1] for problem in small.refused("check")]
+    assert told == ["efects", "seed", "split.holdout", "no such file, did you mean 'robot.toml'?"]
+
+
 def drawn(small, seed=1, holdout=0.3, **columns):
     """The split of 60 poses of 2 rows, the first 40 with the light payload."""
     pose = np.repeat(np.arange(60), 2)

@@ -40,6 +40,7 @@ from calflow.files.toml import (
     Unit,
     parse_toml,
     read_toml,
+    sound_part,
     validate_table,
 )
 from calflow.files.units import LARGEST, SUFFIXES, UNITS, split_unit
@@ -536,8 +537,8 @@ def study_path(path: Path) -> Path:
     return path / "study.toml" if os.path.isdir(path) else path  # for a name too long Path.is_dir would raise
 
 
-def _read_study(path: Path) -> StudyFile:
-    """Return the content of a study file; refuse other files with a message that says what they are."""
+def _parsed(path: Path) -> tuple[dict[str, Any], Origin]:
+    """Return the content of a study file, and its origin; refuse other files with a message that says what they are."""
     if not path.suffix and not os.path.exists(path):
         expected = f"expected a study's folder, or its file{nearest_file(path)}"
         raise refuse(f"no such file or folder in {Path.cwd()}: {expected}", path)
@@ -550,7 +551,7 @@ def _read_study(path: Path) -> StudyFile:
     raw, origin = parse_toml(path)
     if "robot" not in raw and ("joints" in raw or "urdf" in raw):
         raise refuse("is a robot file: expected the study that names it, such as study.toml", path)
-    return validate_table(raw, StudyFile, origin)
+    return raw, origin
 
 
 def _may_be_study(path: Path) -> bool:
@@ -567,7 +568,26 @@ def load_study(path: str | Path) -> Study:
         InputError: with all problems of these files.
     """
     path = study_path(Path(path))
-    file = _read_study(path)
+    raw, origin = _parsed(path)
+    sound = sound_part(raw, StudyFile, {"name": "study", "seed": 0, "effects": ["geometry"]})
+    try:
+        file, named = run_checks(
+            lambda: validate_table(raw, StudyFile, origin), lambda: _named_files(sound, path) if sound else None
+        )
+    except InputError as error:
+        raise InputError((*error.problems, *(_not_located(sound, path.parent) if sound else ()))) from None
+    study = Study(path, file, *named)
+    if file.parameters and not file.sources:
+        check_stated_parameters(study, build(study.robot, file.effects))
+    return study
+
+
+def _named_files(file: StudyFile, path: Path) -> tuple[Robot, Path, WorkflowFile, Path]:
+    """Return a study's robot and workflow, each with its file.
+
+    Raises:
+        InputError: with all problems of these files, of the confirming study and of what is stated on parameters.
+    """
     robot_path = path.parent / file.robot
 
     def checked_robot() -> Robot:
@@ -575,23 +595,17 @@ def load_study(path: str | Path) -> Study:
         check_effects(file.effects, robot, robot_path)
         return file.on(robot)
 
-    def found_workflow() -> tuple[Path, WorkflowFile]:
+    def found_workflow() -> tuple[WorkflowFile, Path]:
         workflow_path = find_workflow(file.workflow, path)
-        return workflow_path, read_toml(workflow_path, WorkflowFile)
+        return read_toml(workflow_path, WorkflowFile), workflow_path
 
-    try:
-        robot, (workflow_path, workflow), *_ = run_checks(
-            checked_robot,
-            found_workflow,
-            lambda: check_confirm(file, path),
-            lambda: check_parameters(file, Origin.of(path)),
-        )
-    except InputError as error:
-        raise InputError((*error.problems, *_not_located(file, path.parent))) from None
-    study = Study(path, file, robot, robot_path, workflow, workflow_path)
-    if file.parameters and not file.sources:
-        check_stated_parameters(study, build(study.robot, file.effects))
-    return study
+    robot, (workflow, workflow_path), *_ = run_checks(
+        checked_robot,
+        found_workflow,
+        lambda: check_confirm(file, path),
+        lambda: check_parameters(file, Origin.of(path)),
+    )
+    return robot, robot_path, workflow, workflow_path
 
 
 def _not_located(file: StudyFile, folder: Path) -> tuple[Problem, ...]:

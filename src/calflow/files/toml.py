@@ -5,11 +5,13 @@ Arguments of functions called from Python are validated by their annotations, wi
 
 from __future__ import annotations
 
+import copy
 import inspect
 import math
 import re
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import MISSING, dataclass, fields, replace
 from functools import cache, wraps
 from itertools import chain
@@ -386,6 +388,30 @@ def validate_table(
     except ValidationError as error:
         problems = _problems(error, raw, origin, others or {}, _EXPECTED)
         raise InputError(sorted(problems, key=lambda problem: (str(problem.file), problem.line or 0))) from None
+
+
+def sound_part(raw: dict[str, Any], kind: type[File], otherwise: Mapping[str, Any]) -> File | None:
+    """Return a parsed table as a model without the keys that are wrong in it, so that what the others name can be checked too.
+
+    otherwise has values for keys that are wrong; None if still others are required.
+    """
+    try:
+        return cast(File, adapter(kind).validate_python(raw))
+    except ValidationError as error:
+        wrong = [_named(item["loc"]) for item in error.errors(include_url=False)]
+    left = copy.deepcopy(raw)
+    for *way, last in filter(None, wrong):
+        table: Any = left
+        for part in way:
+            if not isinstance(table.get(part), dict):
+                last = part  # a list is left out as a whole
+                break
+            table = table[part]
+        for key in [key for key in table if last in (key, split_unit(key)[0])]:
+            del table[key]
+    with suppress(ValidationError):
+        return cast(File, adapter(kind).validate_python({**otherwise, **left}))
+    return None
 
 
 def checked(record: Record, kind: type[File], place: str, context: Mapping[str, Any]) -> File:
