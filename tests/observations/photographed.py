@@ -126,7 +126,7 @@ def looking(
     """Joint readings (n, n_joints) at which the camera sees the board from 0.3 to 0.6 m (in the hand) or further."""
     found: list[np.ndarray] = []
     camera, target = (IN_HAND, ON_TABLE) if in_hand else (BESIDE, IN_GRIPPER)
-    middle = points.mean(axis=0)
+    middle, step = points.mean(axis=0), 1e-7 * np.eye(len(arm.figures))
     while len(found) < n:
         tilt = Rotation.from_euler("z", rng.uniform(-180, 180), degrees=True)
         tilt *= Rotation.from_euler("x", 180 + rng.uniform(-most, most), degrees=True)
@@ -145,8 +145,8 @@ def looking(
             return np.hstack([reached[:, :3, 3] - wanted[:3, 3], 0.3 * turn]).reshape(*q.shape[:-1], 6)
 
         def slopes(q: np.ndarray, off: Callable[[np.ndarray], np.ndarray] = off) -> np.ndarray:
-            step = 1e-7 * np.eye(len(q))
-            return (off(q + step) - off(q - step)).T / 2e-7
+            more, less = np.split(off(np.vstack([q + step, q - step])), 2)
+            return (more - less).T / 2e-7
 
         begin = rng.uniform(*(arm.limits * 0.7).T)
         end = least_squares(off, np.clip(begin, *arm.limits.T), slopes, (*arm.limits.T,), max_nfev=60)

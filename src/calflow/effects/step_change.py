@@ -167,7 +167,7 @@ def _between_fitted_rows(data: Measurements, moment: float) -> str:
     """Return in words the fitted rows between which it was; empty where no other lies between them."""
     if "split" not in data.table:
         return ""
-    fitted = data.only(data.train).table["order"].to_numpy(float)
+    fitted = data.table["order"].to_numpy(float)[data.train]
     first, end = fitted[fitted < moment].max(initial=0.0), fitted[fitted > moment].min(initial=np.inf)
     return f"row {first:.0f} and before row {end:.0f} in measuring order" if first and 1 < end - first < np.inf else ""
 
@@ -176,8 +176,8 @@ def _times_about(data: Measurements, moment: float) -> tuple[float, ...]:
     """Return the times of the last fitted row before a moment and of the first after it; empty where they do not tell."""
     if "time" not in data.given:
         return ()
-    fitted = data.only(data.train) if "split" in data.table else data
-    order, time = (fitted.table[name].to_numpy(float) for name in ("order", "time"))
+    fitted = data.train if "split" in data.table else slice(None)
+    order, time = (data.table[name].to_numpy(float)[fitted] for name in ("order", "time"))
     last, first = time[order < moment].max(initial=-np.inf), time[order > moment].min(initial=np.inf)
     return (float(last), float(first)) if -np.inf < last < first < np.inf else ()
 
