@@ -74,7 +74,7 @@ def test_a_lack_of_fit_has_a_row_though_no_input_explains_it(uneven):
     assert row.detail.startswith("joint 1 is between")
     assert row.p_family < 1e-6
     assert row.detail in row.statement
-    assert "times the noise" in row.statement
+    assert "times the noise (chance of so much: less than one in a million)" in row.statement
     assert told(diagnosis(fitted())) == []
 
 

@@ -65,4 +65,4 @@ def test_figures_of_origins_have_room(material: Material) -> None:
 
 def test_a_length_that_no_robot_has_is_stated_by_its_power_of_ten():
     """Fails if rows that are nobody's fill a line with digits."""
-    assert (mm(419488784661606117146624.0), mm(295.4812)) == ("4.2e+23", "295.48")
+    assert (mm(419488784661606117146624.0), mm(295.4812)) == ("4.2e+23", "295.5")

@@ -24,6 +24,7 @@ from calflow.robot.parts import Parameter
 @pytest.mark.parametrize(
     ("value", "words"),
     [
+        (866.0254, "866.0"),
         (30.4622, "30.46"),
         (1.7533, "1.75"),
         (0.04458, "0.045"),

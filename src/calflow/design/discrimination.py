@@ -21,7 +21,6 @@ from calflow.diagnosis.verdict import Rival, Verdict, named
 from calflow.effects import effect_class
 from calflow.effects.base import NEEDS
 from calflow.effects.cause import Cause
-from calflow.effects.wording import cause_words
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.probing import probed
 from calflow.estimation.progress import Draws
@@ -185,7 +184,7 @@ def _separation(
 ) -> SeparationRow:  # fmt: skip
     """Return the row of a cause and a rival, separated by so many standard deviations before and after further poses."""
     apart = f"they separate by {after:.1f} sd instead of {before:.1f}"
-    either = f"{cause_words(cause.id).name} from {cause_words(rival.id).name}"
+    either = f"{named(cause).name} from {named(rival).name}"
     if proposed:
         words = f"measure the {MOST_NEXT_POSES} poses of next_poses.csv: {apart}"
     elif not means:
@@ -195,7 +194,7 @@ def _separation(
     elif rival.cause is None:
         words = f"no pose distinguishes {either} in these data: {means}"
     else:
-        words = f"no {MOST_NEXT_POSES} poses with any known payload distinguish {either} ({after:.1f} sd after them): {means}"
+        words = f"even {MOST_NEXT_POSES} further poses, with any known payload, separate {either} by {after:.1f} sd only: {means}"
     return SeparationRow(
         cause=cause.id, joint=cause.joint or None, rival=rival.id, rival_joint=rival.joint or None,
         separation_before_sd=before, separation_after_sd=after, chance_after=chance, words=words,

@@ -39,7 +39,7 @@ from calflow.estimation.parameters import UNIT
 from calflow.files.deferred import pd
 from calflow.files.tables import column
 from calflow.files.units import METRE
-from calflow.files.words import listed, rounded
+from calflow.files.words import chance, listed, rounded
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 from calflow.observations import leading_units
@@ -256,8 +256,8 @@ class Finding:
         if self.is_cause:
             return f"{self.names}, {self.amount}"
         if self.is_structure:
-            may_be = f" (it may be {self.suspects})" if self.suspects else ""
-            return f"something unexplained that depends on {self.inputs_in_words}{may_be}"
+            suspected = f" (suspected: {self.suspects})" if self.suspects else ""
+            return f"something unexplained that depends on {self.inputs_in_words}{suspected}"
         return self.statement
 
     @property
@@ -495,7 +495,7 @@ def _growth(grown: Growth) -> Finding:
 def _misfit(lack: LackOfFit, worst: MisfitRegion | None, left: tuple[UnexplainedStructure, ...]) -> Finding:
     why = "an input explains only a part of it" if left else "no cause of the catalogue and no single input explains it"
     where = worst.words if worst else "about the same everywhere"
-    times = f"{np.sqrt(lack.reduced_chi2):.2f} times the noise (chance of so much: {lack.p:.2g})"
+    times = f"{np.sqrt(lack.reduced_chi2):.2f} times the noise (chance of so much: {chance(lack.p)})"
     statement = f"the model leaves {times}; {why}; {where}"
     return Finding(status="unexplained", p_family=lack.p, detail=worst.where if worst else "", statement=statement)
 
@@ -503,8 +503,8 @@ def _misfit(lack: LackOfFit, worst: MisfitRegion | None, left: tuple[Unexplained
 def _left(structure: UnexplainedStructure) -> Finding:
     inputs, detail = " and ".join(structure.inputs), structure.detail
     rivals = list(dict.fromkeys(map(named, structure.suspects)))
-    may_be = f" (it may be {', or '.join(rival.name for rival in rivals)})" if rivals else ""
-    statement = f"depends on {inputs}{f' ({detail})' if detail else ''}; no cause of the catalogue explains it for certain{may_be}"
+    likely = f" (suspected: {', or '.join(rival.name for rival in rivals)})" if rivals else ""
+    statement = f"depends on {inputs}{f' ({detail})' if detail else ''}; no cause of the catalogue explains it for certain{likely}"
     if structure.inputs == (POSE,):
         statement = (
             "the rows of a pose share an error that changes from pose to pose, more than their own scatter explains"

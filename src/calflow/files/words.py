@@ -14,12 +14,12 @@ READABLE = {"m": (1e3, "mm"), "rad": (1e3, "mrad")}
 
 
 def mm(value: float) -> str:
-    """Return a length [mm] as text without its unit, to 0.001 mm below 1 mm and to at least two significant digits."""
+    """Return a length [mm] as text without its unit, to 0.001 mm below 1 mm, 0.01 below 100, and at least two digits."""
     if not math.isfinite(value):
         return "–"
     size = abs(value)
     if size >= 1:
-        return f"{value:.2f}" if size < HUGE else f"{value:.1e}"
+        return f"{value:.{2 if size < 100 else 1}f}" if size < HUGE else f"{value:.1e}"
     return f"{value:.3f}" if size >= 0.0095 or size == 0 else f"{value:.{min(9, 1 - math.floor(math.log10(size)))}f}"
 
 

@@ -184,7 +184,7 @@ def still_unexplained(left: Sequence[Finding], misfit: str) -> list[Block]:
 
 
 def _suspects(finding: Finding) -> str:
-    return f"it may be {finding.suspects}, too uncertain to be put into the model; " if finding.suspects else ""
+    return f"suspected is {finding.suspects}, too uncertain to be put into the model; " if finding.suspects else ""
 
 
 @section(15, "What the model lacked: causes", "diagnose/findings.csv", _is_settled)
