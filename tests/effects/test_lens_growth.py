@@ -13,8 +13,8 @@ from conftest import in_process
 from observations.photographed import UR5E, Photographs, board, photographed
 from observations.test_camera import study
 
-IMAGES, EVERY, CONSTANT = 30, 48.0, 600.0  # s between images, and of the warm-up
-FOCAL, CENTRE = 1.5e-3, np.array([4e-4, -3e-4])  # relative growth; shift in focal lengths
+IMAGES, EVERY, CONSTANT = 20, 72.0, 600.0  # s between images, and of the warm-up
+FOCAL, CENTRE = 3e-3, np.array([8e-4, -6e-4])  # relative growth; shift in focal lengths
 ONLY = '\n[stages.diagnose]\ncatalogue = ["lens-growth", "stand-growth", "frame-drift", "camera-slip", "joint-eccentricity"]\n'
 
 
