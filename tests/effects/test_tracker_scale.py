@@ -13,8 +13,10 @@ HEAD = head("tracker.toml")
 ANCHOR = np.array([1.6, 0.4, -0.2])
 
 
-@pytest.mark.parametrize("anchor_known", [True, False])
-@pytest.mark.parametrize(("scale", "zero"), [(1e-3, 0.0), (0.0, 1.2e-3), (0.0, 0.0)])
+@pytest.mark.parametrize(
+    ("scale", "zero", "anchor_known"),
+    [(1e-3, 0.0, False), (0.0, 1.2e-3, False), (0.0, 1.2e-3, True), (0.0, 0.0, False)],
+)
 def test_a_wire_beside_a_tracker_shows_that_its_figures_are_not_the_stated_ones(tmp_path, scale, zero, anchor_known):
     """Fails if a wire's wrong scale or zero is taken for a cause of the robot, bends it, or is told where there is none."""
     rng, text = np.random.default_rng(12), HEAD
