@@ -301,7 +301,8 @@ def _differ(causes: Sequence[Cause | Untested]) -> bool:
     """Whether no two causes are forms of the same cause."""
     untested = [cause for cause in causes if isinstance(cause, Untested)]
     tested = [cause for cause in causes if isinstance(cause, Cause)]
-    twice = any(cause.place == other.place and cause.same_form(other) for cause, other in combinations(tested, 2))
+    shared = len({cause.place for cause in tested}) < len(tested)  # hardly ever: forms are compared then alone
+    twice = shared and any(cause.same_form(other) for cause, other in combinations(tested, 2))
     return not twice and len(set(untested)) == len(untested)
 
 
