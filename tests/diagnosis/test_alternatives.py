@@ -50,15 +50,27 @@ def test_rivals_are_fitted_in_the_causes_place(final):
     verdicts = [judged(ratio(2.0), Rival(UNEXPLAINED, 0, 3.0, None), Rival("joint-backlash", 2, 0.0, None))]
     found = fitted_alternatives(verdicts, final)
     assert [tuple(c.id for c in one.model.effects if isinstance(c, Cause)) for one in found] == [
-        ("gear-ratio-error",),
         (),
+        ("gear-ratio-error",),
     ]
     p = verdicts[0].probability
-    assert [one.probability for one in found] == pytest.approx([p * np.exp(-1.0), p * np.exp(-1.5)])
+    assert [one.probability for one in found] == pytest.approx([p * (1 + np.exp(-1.5)) / 2, p * np.exp(-1.0)])
     assert fitted_alternatives([judged(ratio(9.5))], final) == ()
     (likelier,) = fitted_alternatives([judged(ratio(-8.0))], final)
     assert likelier.probability == pytest.approx(1 / (1 + np.exp(-4.0)))  # a rival may be likelier than what was named
     assert len(fitted_alternatives([judged(*[ratio(0.1)] * (MOST_FITTED + 2))], final)) == MOST_FITTED
+
+
+def test_what_cannot_be_told_from_an_unnamed_error_is_as_likely_one(final):
+    """Fails if an error left along a cause's input leaves its promise as it was, or its smooth errors as small as beside it."""
+    (without,) = fitted_alternatives([judged()], final, doubted=[ECCENTRIC])
+    assert (without.gone, without.rival) == (ECCENTRIC, None)
+    assert without.probability == pytest.approx(judged().probability / 2)
+    alone, gone = final.smooth.variance, final.smooth.without([ECCENTRIC]).variance
+    unsure = replace(final, doubted={ECCENTRIC: without.probability})
+    between = final.with_smooth_errors((alone + gone) / 2)[1]
+    assert gone.sum() > alone.sum()
+    assert unsure.errors.sd == pytest.approx(between.sd)
 
 
 def test_a_probable_cause_beside_those_found_is_an_alternative(final):

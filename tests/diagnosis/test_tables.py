@@ -9,11 +9,11 @@ import pandas as pd
 import pytest
 
 from calflow.diagnosis.diagnosis import Diagnosis
-from calflow.diagnosis.findings import Finding, _is_of_its_curve, _kept_together, _overlapping, _together, findings
+from calflow.diagnosis.findings import Finding, _kept_together, _together, findings
 from calflow.diagnosis.misfit import largest_misfit
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.trial import Linearisation
-from calflow.diagnosis.unexplained import POSE, UnexplainedStructure
+from calflow.diagnosis.unexplained import POSE, UnexplainedStructure, is_of_its_curve, left_along
 from calflow.effects.wording import NamedCause
 from calflow.estimation.calibrated_model import Alternative
 from calflow.files.problems import InputError
@@ -155,9 +155,9 @@ def test_an_error_of_two_joints_is_no_other_form_of_one_joints_curve():
     """Fails if a gear is certain, its order alone open, while an error of its angle and another's (a hose's, say) has no name."""
     acting = cause("joint-eccentricity", "joint2", order=1)
     left = UnexplainedStructure(("q2", "q5"), 1e-9, 0.5, ())
-    assert not _is_of_its_curve(left, acting)
-    assert _is_of_its_curve(replace(left, along=("q2",)), acting)
-    assert _is_of_its_curve(replace(left, inputs=(POSE, "q2")), acting)  # waves too short for these poses
+    assert not is_of_its_curve(left, acting)
+    assert is_of_its_curve(replace(left, along=("q2",)), acting)
+    assert is_of_its_curve(replace(left, inputs=(POSE, "q2")), acting)  # waves too short for these poses
 
 
 @pytest.mark.parametrize(("name", "part", "inputs", "doubted"), [
@@ -174,5 +174,5 @@ def test_a_cause_is_doubted_where_more_is_left_along_an_input_through_which_it_a
     acting = cause(name, part, **({"constant": 3600.0} if name == "thermal-growth" else {}))
     model = replace(build(acting.robot, ("geometry",)), given=("time", "order"))
     structure = UnexplainedStructure(inputs, 1e-9, 0.5, ())
-    assert _overlapping(acting, model, (structure,)) == (structure if doubted else None)
-    assert _overlapping(acting, model, ()) is None
+    assert left_along(acting, model, (structure,)) == (structure if doubted else None)
+    assert left_along(acting, model, ()) is None

@@ -21,7 +21,7 @@ from calflow.diagnosis.noise_model import Growth, NoiseLevels, noise_of_repeats,
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.stepwise import SHARES, CauseAcceptance, Stepwise, words
 from calflow.diagnosis.trial import Linearisation, Screened
-from calflow.diagnosis.unexplained import Standstills, UnexplainedStructure, suspected, unexplained
+from calflow.diagnosis.unexplained import Standstills, UnexplainedStructure, doubtful, suspected, unexplained
 from calflow.diagnosis.verdict import (
     ModelInReach,
     Verdict,
@@ -287,8 +287,16 @@ def search_causes(
         say(f"{words(suspect.cause)} remains a suspicion: it does not help at poses left out")
     ordered = (*deployed, *suspects)
     in_reach = models_in_reach(extended, ordered, beside, every, suspects)
+    in_doubt = [verdict.cause for verdict in deployed if doubtful(verdict.cause, extended.model, left)]
+    alternatives = fitted_alternatives(deployed, extended, suspects, in_reach, in_doubt)
+    doubted = {
+        other.gone: other.probability
+        for other in alternatives
+        if other.gone and not other.rival and not other.gone.of_measuring()
+    }
     return Diagnosis(
-        start, first, extended, final, ordered, suspected(left, beside), other, wanted, acceptance.false_alarm,
+        start, first, extended, final and replace(final, doubted=doubted), ordered, suspected(left, beside), other, wanted,
+        acceptance.false_alarm,
         largest_misfit(extended, rng("misfit")) if extended.lacks_fit else None, capped=len(ordered) >= causes,
-        alternatives=fitted_alternatives(deployed, extended, suspects, in_reach), in_reach=in_reach,
+        alternatives=alternatives, in_reach=in_reach,
     )  # fmt: skip

@@ -16,10 +16,10 @@ from calflow.diagnosis.diagnosis import Diagnosis
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.misfit import MisfitRegion
 from calflow.diagnosis.noise_model import RANGE, Growth
-from calflow.diagnosis.unexplained import POSE, UnexplainedStructure, is_any_error_along, predicted
+from calflow.diagnosis.unexplained import POSE, UnexplainedStructure, is_of_its_curve, left_along, predicted
 from calflow.diagnosis.verdict import CERTAIN, SIZE, Amplitude, Rival, Verdict, found_amplitude, named
 from calflow.effects import catalogue
-from calflow.effects.base import FORMS_OF_ONE, IN_TIME, ITS_ANGLE, ITS_TORQUE, SMOOTH_IN, effect_class
+from calflow.effects.base import FORMS_OF_ONE, ITS_ANGLE, ITS_TORQUE, SMOOTH_IN, effect_class
 from calflow.effects.cause import Cause
 from calflow.effects.wording import (
     UNEXPLAINED,
@@ -34,14 +34,12 @@ from calflow.estimation.accuracy import distances, errors, gain, judged_unit
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.extrapolation import Curve
 from calflow.estimation.lack_of_fit import LackOfFit
-from calflow.estimation.needed_conditions import depended_on
 from calflow.estimation.parameters import UNIT
 from calflow.files.deferred import pd
 from calflow.files.tables import column
 from calflow.files.units import METRE
 from calflow.files.words import chance, listed, rounded
 from calflow.measurements.measurements import Measurements
-from calflow.model import Model
 from calflow.observations import leading_units
 
 NAN = float("nan")
@@ -335,7 +333,7 @@ def findings(
     n = diagnosis.n_deployed
     for members in _kept_together(diagnosis.causes):
         causes = [
-            _cause(verdict, final, _overlapping(verdict.cause, final.model, diagnosis.left), k + 1, k < n)
+            _cause(verdict, final, left_along(verdict.cause, final.model, diagnosis.left), k + 1, k < n)
             for k, verdict in ((k, diagnosis.verdicts[k]) for k in members)
         ]
         row = causes[0] if len(causes) == 1 else _together(causes, [diagnosis.verdicts[k] for k in members])
@@ -417,7 +415,7 @@ def _cause(verdict: Verdict, fitted: Fitted, left: UnexplainedStructure | None, 
     size = Amplitude.of_squares(*curve.rms_over_travel) if curve else found_amplitude(verdict, fitted)
     others = list(dict.fromkeys(rival.id for rival in verdict.others))
     if left:
-        same = _relatives(cause) if _is_of_its_curve(left, cause) else [UNEXPLAINED]
+        same = _relatives(cause) if is_of_its_curve(left, cause) else [UNEXPLAINED]
         others += [name for name in same if name not in others]
     doubts = (NOT_CARRIED if carries_over is False else "") + ("" if deployed else NOT_DEPLOYED)
     return Finding(
@@ -433,11 +431,6 @@ def _cause(verdict: Verdict, fitted: Fitted, left: UnexplainedStructure | None, 
     )  # fmt: skip
 
 
-def _is_of_its_curve(left: UnexplainedStructure, cause: Cause) -> bool:
-    """Whether a part of what is left is a curve of the cause's own input alone: more of the cause's family explains that."""
-    return is_any_error_along(cause, left.inputs if left.inputs[0] == POSE else left.along)
-
-
 def _detail(verdict: Verdict) -> str:
     """Return the variant in words, with other parts at the same joint where the effect explains the data as well."""
     cause = verdict.cause
@@ -448,7 +441,7 @@ def _detail(verdict: Verdict) -> str:
 def _statement(verdict: Verdict, left: UnexplainedStructure | None) -> str:
     cause, where = verdict.cause, _where(verdict.cause)
     detail = f" ({_detail(verdict)})" if _detail(verdict) else ""
-    if left and _is_of_its_curve(left, cause):
+    if left and is_of_its_curve(left, cause):
         return f"{cause.effect.family}{where}: form not resolved, more is left than {cause.title}{detail} explains"
     if left:
         return f"{cause.title}{where}{detail}, or what stays unexplained ({' and '.join(left.inputs)})"
@@ -466,16 +459,6 @@ def _told(rival: Rival) -> str:
 
 def _where(cause: Cause) -> str:
     return f" of {cause.effect.place_word} {cause.joint}" if cause.joint else ""
-
-
-def _overlapping(cause: Cause, model: Model, left: tuple[UnexplainedStructure, ...]) -> UnexplainedStructure | None:
-    """Return unexplained structure along an input through which a cause acts: its joint's angle, time or order, or the payload."""
-    through = set(depended_on(replace(model, effects=(cause,)))) if left else set()
-    of_joint = {f"{of}{cause.joint}" for of in (ITS_ANGLE, ITS_TORQUE)}
-    inputs = of_joint if cause.joint and not cause.of_measuring() else set()
-    inputs |= set(IN_TIME) if cause.of_measuring() or not through.isdisjoint((*IN_TIME, "temperature")) else set()
-    inputs |= {"payload"} & through
-    return next((structure for structure in left if inputs & set(structure.inputs)), None)
 
 
 def _relatives(cause: Cause) -> list[str]:

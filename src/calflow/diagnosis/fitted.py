@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -37,7 +37,8 @@ class Fitted:
     lack: lack of fit against the noise alone; device: the noise before outliers were down-weighted;
     outlier_factor (n_rows,), or (1,) for all alike: factor of each row's total noise by that weighting; background:
     correlated errors in the covariance of tests (None: independent errors); shared: intraclass correlation of markers at one
-    standstill (None: estimated from the residual alone); visited: cache of the models fitted from it with other causes.
+    standstill (None: estimated from the residual alone); visited: cache of the models fitted from it with other causes; doubted:
+    causes with the probability of an unnamed error in the place of each.
     """
 
     fit: Fit
@@ -49,6 +50,7 @@ class Fitted:
     shared: float | None = None
     visited: dict[frozenset[Cause], Fitted] = field(default_factory=dict, compare=False, repr=False)
     outlier_factor: np.ndarray = field(default_factory=lambda: ALIKE, compare=False, repr=False)
+    doubted: Mapping[Cause, float] = field(default_factory=dict)
 
     @property
     def model(self) -> Model:
@@ -104,7 +106,11 @@ class Fitted:
 
     @cached_property
     def _beside(self) -> tuple[np.ndarray, ErrorModel]:
-        return self.with_smooth_errors(self.smooth.variance, excess(self.fit, self.poses, self.left_out))
+        # Where an unnamed error acts in a cause's place, smooth errors are as large as they are estimated without that cause.
+        odds = [max(1 - sum(self.doubted.values()), 0.0), *self.doubted.values()]
+        every = [self.smooth, *(self.smooth.without([cause]) for cause in self.doubted)]
+        variance = np.average([sizes.variance for sizes in every], axis=0, weights=odds)
+        return self.with_smooth_errors(variance, excess(self.fit, self.poses, self.left_out))
 
     @property
     def errors(self) -> ErrorModel:

@@ -32,10 +32,11 @@ from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import Background, principal
 from calflow.diagnosis.screening import MATERIAL, Score, Screening, by_place, place_probabilities
 from calflow.effects import Effect
-from calflow.effects.base import ITS_ANGLE, ITS_TORQUE, NEEDS
+from calflow.effects.base import IN_TIME, ITS_ANGLE, ITS_TORQUE, NEEDS
 from calflow.effects.cause import Cause
 from calflow.effects.wording import UNITS
 from calflow.estimation.accuracy import error_jacobian, judged_unit
+from calflow.estimation.needed_conditions import depended_on
 from calflow.estimation.smooth_functions import (
     SIZE,
     JointField,
@@ -51,6 +52,7 @@ from calflow.estimation.smooth_functions import (
 from calflow.estimation.variance_components import USUAL, VarianceComponents
 from calflow.files.words import rounded
 from calflow.measurements.measurements import Measurements
+from calflow.model import Model
 from calflow.observations import leading_units
 from calflow.robot.mechanism import Deflection, Row, State
 
@@ -109,6 +111,27 @@ def is_any_error_along(cause: Cause, inputs: tuple[str, ...]) -> bool:
     of_joint = (ITS_ANGLE, ITS_TORQUE)
     own = {f"{name}{cause.joint}" if name in of_joint else name for name in cause.effect.named_in()}
     return not own.isdisjoint(inputs)
+
+
+def left_along(cause: Cause, model: Model, left: Sequence[UnexplainedStructure]) -> UnexplainedStructure | None:
+    """Return unexplained structure along an input through which a cause acts: its joint's angle, time or order, or the payload."""
+    through = set(depended_on(replace(model, effects=(cause,)))) if left else set()
+    of_joint = {f"{of}{cause.joint}" for of in (ITS_ANGLE, ITS_TORQUE)}
+    inputs = of_joint if cause.joint and not cause.of_measuring() else set()
+    inputs |= set(IN_TIME) if cause.of_measuring() or not through.isdisjoint((*IN_TIME, "temperature")) else set()
+    inputs |= {"payload"} & through
+    return next((structure for structure in left if inputs & set(structure.inputs)), None)
+
+
+def is_of_its_curve(left: UnexplainedStructure, cause: Cause) -> bool:
+    """Whether a part of what is left is a curve of the cause's own input alone: more of the cause's family explains that."""
+    return is_any_error_along(cause, left.inputs if left.inputs[0] == POSE else left.along)
+
+
+def doubtful(cause: Cause, model: Model, left: Sequence[UnexplainedStructure]) -> bool:
+    """Whether a cause cannot be told from an unnamed error: one is left along an input through which it acts."""
+    along = left_along(cause, model, left)
+    return along is not None and not is_of_its_curve(along, cause)
 
 
 def _alone(*parts: tuple[str, ...]) -> tuple[str, ...]:

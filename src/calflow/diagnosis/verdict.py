@@ -144,8 +144,9 @@ def named(cause: Hypothesis | Rival) -> NamedCause:
 
 
 def fitted_alternatives(
-    verdicts: Sequence[Verdict], final: Fitted, suspected: Sequence[Verdict] = (), in_reach: Sequence[ModelInReach] = ()
-) -> tuple[Alternative, ...]:
+    verdicts: Sequence[Verdict], final: Fitted, suspected: Sequence[Verdict] = (), in_reach: Sequence[ModelInReach] = (),
+    doubted: Collection[Cause] = (),
+) -> tuple[Alternative, ...]:  # fmt: skip
     """Return models with the likeliest rivals fitted in the causes' places, one at a time, except untestable rivals.
 
     A form of a cause that depends on other conditions of a row is a rival too. Causes that are suspected, and so not in the model
@@ -157,13 +158,15 @@ def fitted_alternatives(
         (_probability(verdict, rival), gone, rival.cause)
         for verdict, gone in every
         for rival in verdict.rivals
-        if rival.cause is not None or (gone is not None and rival.id == UNEXPLAINED)
+        if rival.cause is not None
     ]
     asked += [
         (probability, verdict.cause, form)
         for verdict in verdicts
         for probability, form in _forms_by_other_conditions(verdict, final.model)
     ]
+    asked += [(_of_unnamed(verdict), verdict.cause, None) for verdict in verdicts
+              if verdict.cause in doubted or UNEXPLAINED in {rival.id for rival in verdict.rivals}]  # fmt: skip
     asked += [(suspect.probability, None, suspect.cause) for suspect in suspected]
     asked += [
         (probability, None, came)
@@ -201,6 +204,15 @@ def _probability(verdict: Verdict, rival: Rival) -> float:
     """Return the rival's probability by the verdict; one that could not be tested never counts more than the cause."""
     cost = rival.cost if rival.cause else max(rival.cost, 0.0)
     return float(verdict.probability * np.exp(-cost / 2))
+
+
+def _of_unnamed(verdict: Verdict) -> float:
+    """Return the probability of an unnamed error that a cause cannot be told from: what both have is shared evenly.
+
+    How well an unnamed error explains the data, its form being a guess, says who wins, but too little of how surely.
+    """
+    told = (_probability(verdict, rival) for rival in verdict.rivals if rival.id == UNEXPLAINED)
+    return (verdict.probability + sum(told)) / 2
 
 
 @dataclass(frozen=True)
