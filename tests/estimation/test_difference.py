@@ -58,3 +58,13 @@ def test_a_base_is_compared_where_both_count_from_the_same_place():
     compared = {first.model.parameters[k].part for k in Difference.of(first, second).first}
     assert {first.model.parameters[k].part for k in Difference.of(first, apart).first} == compared - {"base"}
     assert "base" in compared
+
+
+def test_figures_of_a_joint_are_compared_where_both_models_have_the_same_causes_there():
+    """Fails if a zero that takes up the mean of a curve in one calibration, and not in the other, is told to have moved."""
+    plain, _ = calibrations(np.random.default_rng(4))
+    model = build(plain.model.robot, ("geometry", "joint-backlash"))
+    sd = model.prior_sd
+    curved = calibration(model, np.zeros(len(sd)), np.diag(sd**2), sigma=1e-5)
+    assert {plain.model.parameters[k].joint for k in Difference.of(plain, curved).first} == {0}
+    assert {model.parameters[k].joint for k in Difference.of(curved, curved).first} == set(range(7))

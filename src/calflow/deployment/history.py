@@ -298,5 +298,6 @@ def _notes(names: Sequence[str], runs: Sequence[CalibratedModel], parameters: Se
     if left:
         yield (
             f"not compared: {', '.join(left[:12])}{f' and {len(left) - 12} more' if len(left) > 12 else ''}; they are not of all "
-            "runs, of the measuring device, at a bound, or count from where each run placed base or tool"
+            "runs, of joints where the runs have different causes (state the same in the effects of every study), of the measuring "
+            "device, at a bound, or count from where each run placed base or tool"
         )

@@ -11,6 +11,7 @@ import numpy as np
 import scipy
 
 from calflow.estimation.calibrated_model import CalibratedModel
+from calflow.model import Model
 from calflow.robot.parts import Parameter
 
 # Variance of the difference over the sum of both, below which two calibrations know only their common prior.
@@ -67,16 +68,28 @@ class Difference:
 def comparable(first: CalibratedModel, second: CalibratedModel) -> list[tuple[int, int]]:
     """Return pairs of indices of parameters with the same name, nominal figure and prior that are off their bounds in both.
 
-    Errors of base and tool are relative to their registered places, and are compared only where both registered the same.
+    Errors of base and tool are relative to their registered places, and are compared only where both registered the same. What
+    a joint's figures are depends on what else it does in a model (a zero takes up the mean of a curve that another model has): they
+    are compared only where both models have the same causes there.
     """
     robots = first.model.robot, second.model.robot
     same = {"base": robots[0].base == robots[1].base, "tool": robots[0].tool_rotation == robots[1].tool_rotation}
     places = {_stated(parameter): k for k, parameter in enumerate(second.model.parameters) if not second.at_bound[k]}
+    own, others = _by_joint(first.model), _by_joint(second.model)
     return [
         (k, places[_stated(parameter)])
         for k, parameter in enumerate(first.model.parameters)
         if _stated(parameter) in places and same.get(parameter.part, True) and not first.at_bound[k]
-    ]
+        and (not parameter.joint or own[parameter.joint] == others[parameter.joint])
+    ]  # fmt: skip
+
+
+def _by_joint(model: Model) -> dict[int, set[str]]:
+    """Return the names of all parameters of each joint, those held among them."""
+    names = dict[int, set[str]]()
+    for parameter in model.declared:
+        names.setdefault(parameter.joint, set()).add(parameter.name)
+    return names
 
 
 def _stated(parameter: Parameter) -> tuple[str, float, float, float]:
