@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from calflow.diagnosis.unexplained import predicted
-from calflow.effects.cause import Cause
 from calflow.estimation.accuracy import errors
+from calflow.estimation.error_model import usual_sizes
 from calflow.estimation.smooth_functions import Shift
 from calflow.model import Model
 from diagnosis.test_unexplained import fitted
@@ -21,8 +21,7 @@ def wave(table):
 
 def by_joint1(known):
     """The decoy."""
-    decoy = Shift(known.model.robot, (0,))
-    return Cause(known.model.robot, decoy, decoy.declared[0].part)
+    return Shift(known.model.robot, (0,))
 
 
 def test_unnamed_structure_is_predicted_where_it_was_not_measured():
@@ -50,7 +49,7 @@ def test_the_process_is_the_gaussian_process_of_its_covariance():
     pull = own @ (model.nominal - fit.estimate)
     left = errors(model, fit.estimate, known.data).ravel() / SIGMA + pull
     base = np.eye(len(left)) + (own * model.prior_sd**2) @ own.T
-    kernel = (waves * both.prior_sd[n:] ** 2) @ waves.T
+    kernel = (waves * usual_sizes(model, [decoy]) ** 2) @ waves.T
 
     def evidence(size):
         whole = base + size**2 * kernel

@@ -61,7 +61,7 @@ def test_a_slow_drift_is_no_wave_between_two_poses():
     """Breaks if, of waves that nearly even times do not distinguish, another than the slowest is told."""
     drift = fitted(lambda t: 3e-4 * np.outer(t["time"] / t["time"].max(), [0, 0, 1]), uneven=0.1)
     left = unexplained(drift, 0.01, np.random.default_rng(1), lambda _: None)
-    waves = [part.effect for part in left[0].functions if isinstance(part.effect, Oscillation)]
+    waves = [part for part in left[0].functions if isinstance(part, Oscillation)]
     assert waves
     assert all(
         2 * np.pi / wave.rate > 59 for wave in [*waves, *(d for d in decoys(drift) if isinstance(d, Oscillation))]

@@ -20,6 +20,7 @@ from calflow.estimation.least_squares import LeastSquares, Loss
 from calflow.estimation.leverage import LeftOut, excess, left_out
 from calflow.estimation.noise import NO_DISCREPANCY, Noise, PerUnit
 from calflow.estimation.prior_scale import on_likeliest_scale
+from calflow.estimation.smooth_functions import Part
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 
@@ -91,7 +92,11 @@ class Fitted:
     @cached_property
     def smooth(self) -> SmoothVariances:
         """The variances of smooth errors beside the model."""
-        return SmoothVariances.of(replace(self.fit, problem=self._problem), self.data, self.noise.known)
+        return self.smooth_in()
+
+    def smooth_in(self, parts: Sequence[Part] = ()) -> SmoothVariances:
+        """Return the variances of some parts beside the model, by default of all smooth errors."""
+        return SmoothVariances.of(replace(self.fit, problem=self._problem), self.data, self.noise.known, parts)
 
     def with_smooth_errors(
         self, variance: np.ndarray, elsewhere: PerUnit = NO_DISCREPANCY

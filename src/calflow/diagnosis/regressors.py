@@ -22,6 +22,7 @@ from calflow.effects.cause import Cause
 from calflow.estimation.fit import Fit
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.probing import Probe
+from calflow.estimation.smooth_functions import SmoothFunction
 from calflow.model import consecutive
 
 SMALL_MODE = 0.02  # a mode's variance over the noise's, below which it changes no test
@@ -88,7 +89,7 @@ class Background:
     """
 
     inputs: tuple[tuple[str, ...], ...]
-    functions: tuple[Effect, ...]
+    functions: tuple[SmoothFunction, ...]
     effects: np.ndarray
     weight: np.ndarray
     gain: float

@@ -6,9 +6,8 @@ significant decoy is reported as unexplained, never as a cause.
 Unexplained structure has suspects: the family of general errors along its input, and causes that failed their test but are too
 probable to be ignored.
 
-Unexplained structure is predicted by a Gaussian process without physical meaning, which is never part of the model: a decoy's waves
-with independent normal amplitudes of one variance (the weight-space view: Rasmussen and Williams 2006, 2.1). The variance is a
-variance component, as of the error model.
+Unexplained structure is predicted by the error model's posterior mean with that structure's functions alone, which has no physical
+meaning and is never part of the model.
 
 Joints that do not repeat have errors independent from standstill to standstill, which no input explains: play is one where the
 approach was not recorded. The variance of each joint's random error is estimated by restricted likelihood (see
@@ -20,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from math import comb
 
 import casadi as ca
@@ -31,12 +30,13 @@ from calflow.diagnosis.background import BackgroundBasis, Field, components_besi
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import Background, principal
 from calflow.diagnosis.screening import MATERIAL, Score, Screening, by_place, place_probabilities
-from calflow.effects import Effect
 from calflow.effects.base import IN_TIME, ITS_ANGLE, ITS_TORQUE, NEEDS
 from calflow.effects.cause import Cause
 from calflow.effects.wording import UNITS
 from calflow.estimation.accuracy import error_jacobian, judged_unit
+from calflow.estimation.error_model import beside_smooth_errors
 from calflow.estimation.needed_conditions import depended_on
+from calflow.estimation.noise import NO_DISCREPANCY
 from calflow.estimation.smooth_functions import (
     SIZE,
     JointField,
@@ -81,7 +81,7 @@ class UnexplainedStructure:
     inputs: tuple[str, ...]
     p: float
     share: float
-    functions: tuple[Effect, ...]
+    functions: tuple[SmoothFunction, ...]
     detail: str = ""
     along: tuple[str, ...] = ()
     suspects: tuple[Cause, ...] = ()
@@ -177,7 +177,7 @@ def _single(fitted: Fitted, rng: np.random.Generator) -> list[UnexplainedStructu
         assert isinstance(decoy, SmoothFunction)
         tested.append(
             UnexplainedStructure(
-                decoy.inputs, family.p(score), score.share, (score.cause,), score.cause.detail, _alone(decoy.inputs)
+                decoy.inputs, family.p(score), score.share, (decoy,), score.cause.detail, _alone(decoy.inputs)
             )
         )
     return sorted(tested, key=lambda structure: structure.p)
@@ -211,32 +211,15 @@ def _of_poses(fitted: Fitted) -> list[UnexplainedStructure]:
     ]
 
 
-def predicted(fitted: Fitted, decoys: Sequence[Effect], data: Measurements) -> np.ndarray:
-    """Return the change of predicted positions (n_rows, 3) [m] by the Gaussian process of decoys: see `errors`.
+def predicted(fitted: Fitted, functions: Sequence[SmoothFunction], data: Measurements) -> np.ndarray:
+    """Return the change of predicted positions (n_rows, 3) [m] by smooth functions: see `errors`.
 
-    The model's parameters are refitted beside it, linearly and with their priors.
+    It is the posterior mean of the error model that has these alone, as one part, with the parameters beside it.
     """
-    screening = Screening(replace(fitted, background=None).regressors(decoys))
-    amplitudes = _amplitudes(screening)
-    model, fit = fitted.model, fitted.fit
-    both = replace(model, probes=tuple(decoys))
-    change = np.append(np.zeros(len(fit.estimate)), amplitudes)
-    change[np.flatnonzero(~fit.at_bound)] = screening.imitation(np.arange(len(amplitudes))) @ amplitudes
-    at = np.append(fit.estimate, both.nominal[len(fit.estimate) :])
-    return error_jacobian(both, at, data) @ change
-
-
-def _amplitudes(screening: Screening) -> np.ndarray:
-    """Return the posterior mean amplitudes of all columns (n_columns,), with one likeliest variance over their usual ones."""
-    usual = screening.regressors.prior_sd
-    shown = screening.information(np.arange(len(usual))) * usual[:, None] * usual
-    components = VarianceComponents(
-        np.zeros(len(usual), dtype=int), 1, shown, screening.score * usual, screening.chi2, screening.degrees_of_freedom
-    )
-    beside = components.posterior(components.most_likely(np.ones(1)))
-    amplitudes = np.zeros(len(usual))
-    amplitudes[beside.here] = -beside.size * beside.mean
-    return usual * amplitudes
+    sizes = fitted.smooth_in([((), [*functions])])
+    errors = beside_smooth_errors(sizes, sizes.components.most_likely(np.ones(1)), NO_DISCREPANCY)[1]
+    slopes = errors.slopes_of(partial(error_jacobian, measured=data), fitted.model, fitted.fit.estimate)
+    return np.asarray(slopes @ np.append(errors.offset, errors.mean))
 
 
 @dataclass(frozen=True)

@@ -326,10 +326,13 @@ class SmoothVariances:
     equations: NormalEquations
 
     @staticmethod
-    def of(result: Fit, data: Measurements, known: bool) -> SmoothVariances:
-        """Return the variances beside a fitted model, linearised at its estimate for a representative subset of the rows."""
+    def of(result: Fit, data: Measurements, known: bool, parts: Sequence[Part] = ()) -> SmoothVariances:
+        """Return the variances beside a fitted model, linearised at its estimate for a representative subset of the rows.
+
+        The parts are by default all `smooth_functions`.
+        """
         problem = result.problem.only(representative(data)).reweighted(result.estimate, result.loss)
-        parts = smooth_functions(problem, result.estimate, data)
+        parts = parts or smooth_functions(problem, result.estimate, data)
         kinds = [(inputs, [*effects, *means(effects)]) for inputs, effects in parts]
         functions = [effect for _, effects in kinds for effect in effects]
         return SmoothVariances(result, data, known, kinds, normal_equations(problem, result.estimate, functions))
