@@ -43,7 +43,7 @@ def told(rivals: tuple[str, ...], since: str, before: str, chance: float | None,
         ((), "", "", None, 1, "0.080 mm is left once that is corrected (recalibration.csv)."),
         ((), "", "", None, 1, "4 further poses (next_poses.csv), measured and added to these rows, would show more precisely"),
         (("joint2.s",), "", "", 0.98, 1, "may instead be a change of: compliance of joint 2"),
-        (("joint2.s",), "", "", 0.98, 1, "would exclude the wrong ones with a chance of 0.98."),
+        (("joint2.s",), "", "", 0.98, 1, "would exclude the wrong ones with a chance of 98 %."),
     ],
 )  # fmt: skip
 def test_the_verdict_says_since_when_what_to_correct_and_what_would_settle_it(

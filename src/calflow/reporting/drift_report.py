@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from calflow.deployment.drift import Drift, Moved, Recalibrated, Status
-from calflow.files.words import first_up, listed, mm, plural, plural_word, quantity, readable, rounded, with_sd
+from calflow.files.words import first_up, listed, mm, percent, plural, plural_word, quantity, readable, rounded, with_sd
 from calflow.reporting.advice import after_drift
 from calflow.reporting.blocks import NEXT, Paragraph, Part, Plot, Table, cover, headed, in_a_line, noted
 from calflow.reporting.style import ACCENT, DARK, MIDDLE, chart, name_poses
@@ -92,7 +92,7 @@ def _gain(drift: Drift) -> str:
         return "would show more precisely by how much"
     if drift.summary.chance is None:
         return "would show more"
-    return f"would exclude the wrong ones with a chance of {drift.summary.chance:.2f}"
+    return f"would exclude the wrong ones with a chance of {percent(drift.summary.chance)}"
 
 
 def _shift(row: Recalibrated) -> str:
