@@ -259,19 +259,19 @@ class CalibratedModel:
         whole = (shared**2).sum(axis=2) + self.errors.rest[METRE] ** 2
         return shared * np.sqrt(self._beside_field(whole, conditions) / whole)[:, :, None] if self.field else shared
 
-    def parameter_variance(self, conditions: np.ndarray, places: np.ndarray | None = None) -> np.ndarray:
+    def parameter_variance(self, conditions: np.ndarray) -> np.ndarray:
         """Return the variance of each row's position per axis (n_rows, 3) [m²] by the parameters' covariance.
 
         It includes the parameters' offset beside smooth errors (see `ErrorModel`).
         """
-        slopes = (self.model.point_jacobian(self.estimate, *part) for part in _parts(conditions, places, PART_ROWS))
+        slopes = (self.model.point_jacobian(self.estimate, *part) for part in _parts(conditions, rows=PART_ROWS))
         return np.concatenate([np.maximum(of_parameters(slope, self.covariance), 0.0) for slope in slopes])
 
     def left_variance(self, conditions: np.ndarray) -> np.ndarray:
         """Return the variance of position errors beyond those by the parameters and the choice of the model [m²].
 
-        Shape (n_rows, 3), or (n_rows, 1) for all axes. Smooth errors and parameters are negatively correlated where rows were
-        measured: this is the joint variance less the parameters', for use beside independent draws of the parameters.
+        Shape (n_rows, 3). Smooth errors and parameters are negatively correlated where rows were measured: this is the joint
+        variance less the parameters', for use beside independent draws of the parameters, without a residual field.
         """
         return self._variances((self.errors.slopes(*self._fitted, *part) for part in _parts(conditions)), METRE)[1]
 
