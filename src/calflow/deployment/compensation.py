@@ -387,10 +387,8 @@ def _apart(calibrated: CalibratedModel, beyond: np.ndarray) -> list[str]:
 
 def _of_rows(what: str, which: np.ndarray, names: np.ndarray) -> list[str]:
     """Return a note that names the targets concerned; nothing where there are none."""
-    if not which.any():
-        return []
-    more = f" and {which.sum() - MOST_NAMED} more" if which.sum() > MOST_NAMED else ""
-    return [f"{which.sum()} of {len(which)} targets: {what}: pose {', '.join(names[which][:MOST_NAMED])}{more}"]
+    named = listed([*dict.fromkeys(names[which])], MOST_NAMED)
+    return [f"{which.sum()} of {len(which)} targets: {what}: pose {named}"] if which.any() else []
 
 
 @dataclass(frozen=True, kw_only=True)
