@@ -20,7 +20,7 @@ ONLY = '\n[stages.diagnose]\ncatalogue = ["lens-growth", "stand-growth", "frame-
 
 def warming(seed: int, focal: float, centre: np.ndarray, cameras: int = 1) -> Photographs:
     """Photographs of a worn arm by cameras in turn, the last of whose lens grows and image's centre moves as it warms up."""
-    made = photographed(UR5E, True, cameras * IMAGES, np.random.default_rng(seed), points=board(5, 4, 0.05))
+    made = photographed(UR5E, True, cameras * IMAGES, np.random.default_rng(seed), points=board(4, 3, 0.07))
     rows = made.rows
     rows["time_s"] = EVERY * (rows["pose"] - 1) / cameras
     rows["camera"] = [f"camera{1 + pose % cameras}" for pose in rows["pose"]]
