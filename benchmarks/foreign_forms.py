@@ -678,7 +678,7 @@ ANGULAR = {"joint-eccentricity": (0,), "periodic-joint-error": (0,), "gear-trans
 DIRECTIONAL = {"joint-backlash": (0,), "joint-hysteresis": (0,), "friction-wind-up": (0,)}
 TORQUE = {"nonlinear-joint-stiffness": (0,), "torque-backlash": (0,)}
 BEARING = {"bearing-play": (0,), "link-torsion": (0, -1), "link-bending": (0, -1)}
-DEVICE = {"frame-drift": (), "frame-step": (), "session-frame": (), "stand-growth": ()}
+DEVICE = {"frame-drift": (), "frame-step": (), "session-frame": (), "stand-growth": (), "scale-growth": ()}
 GRAVITY_ARMS = ("large-6", "cobot-6", "arm-7")
 
 

@@ -45,6 +45,7 @@ VARIANTS = {  # how many forms there are to try, where not one
     "housing-growth": 10,
     "frame-drift": 6,
     "stand-growth": 10,
+    "scale-growth": 5,
     "session-frame": 8,
 }
 
@@ -281,7 +282,7 @@ LACKING: list[tuple[str, Callable[[Measurements], Measurements], str]] = [
     ("loaded-transmission-error", lambda data: bare(without(data, "temperature")), "torques tau1_Nm .* temperature_degC"),
     ("joint-hysteresis", lambda data: without(data, "travel"), "travel1_deg"),
     *((name, lambda data: without(data, "time", "temperature"), "temperature_degC .* time_s")
-      for name in ("thermal-growth", "housing-growth", "stand-growth")),
+      for name in ("thermal-growth", "housing-growth", "stand-growth", "scale-growth")),
     ("frame-drift", lambda data: without(data, "time", "order"), "time_s"),
     ("session-frame", lambda data: without(data, "session"), "column session"),
     ("session-frame", lambda data: data.only((data.table["session"] == "tue").to_numpy()), "two sessions"),

@@ -269,6 +269,16 @@ def stand(constant: float, turning: bool) -> Callable[[Bench], Twin]:
     )
 
 
+def scale(constant: float) -> Callable[[Bench], Twin]:
+    """A weather station that reads the air wrong, or a device that warms up: all lengths from it grow."""
+    left = 0.0 if constant else 293.15
+
+    def moved(point: np.ndarray, rows: Rows) -> np.ndarray:
+        return point * (1 + 1e-5 * (1 - np.exp(-rows.time / constant) if constant else rows.temperature - 20)[:, None])
+
+    return lambda bench: Twin(made(bench, "scale-growth", constant=constant, left=left), {"device.s": 1e-5}, moved)
+
+
 def drift(bench: Bench) -> Twin:
     """The simulator's size is from beginning to end."""
     hidden = Hidden("frame-drift", 0, 3e-4, seed=5)
@@ -428,6 +438,8 @@ TWINS: dict[str, Callable[[Bench], Twin]] = {
     "frame-drift, wandering": wander,
     "stand-growth, temperature": stand(0.0, turning=False),
     "stand-growth, settling": stand(4000.0, turning=True),
+    "scale-growth, temperature": scale(0.0),
+    "scale-growth, warm-up": scale(4000.0),
     "session-frame, each session": frames_of_sessions,
     "session-frame, from a session on": frame_from_a_session_on,
     "frame-step, shifting": step("frame-step", "device"),

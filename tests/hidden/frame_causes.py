@@ -64,6 +64,11 @@ def stand_growth(h: Hidden, robot: Robot, rows: Rows, point: Array) -> Array:
     return point + grown[:, None] * (shift + np.cross(lean / STAND, point))
 
 
+def scale_growth(h: Hidden, robot: Robot, rows: Rows, point: Array) -> Array:
+    """All that the device measures from its own place grows by size a kelvin: its weather station is wrong."""
+    return point * (1 + h.size * (rows.temperature - 20))[:, None]
+
+
 def link_growth(h: Hidden, robot: Robot, rows: Rows) -> Robot:
     """One link grows by size a kelvin above 20 degC, or with extra "warm-up" by size in the end."""
     grown = 1 + h.size * _warm(h, rows)
@@ -116,4 +121,9 @@ ON_ROBOT = {
     "housing-growth": housing_growth,
     "warm-zero": warm_zero,
 }
-ON_DEVICE = {"session-frame": session_frame, "wander": wander, "stand-growth": stand_growth}
+ON_DEVICE = {
+    "session-frame": session_frame,
+    "wander": wander,
+    "stand-growth": stand_growth,
+    "scale-growth": scale_growth,
+}

@@ -18,7 +18,8 @@ ONE_MOVE = Hidden("session-frame", 0, 2e-4, 3)
 JUMPS = Hidden("joint-step", 3, 2e-4)
 WARMS = Hidden("warm-zero", 2, 3e-4, "warm-up")
 IN_TIME = only(
-    "frame-drift", "frame-step", "stand-growth", "session-frame", "joint-step", "tool-slip", "housing-growth", "thermal-growth"
+    "frame-drift", "frame-step", "stand-growth", "scale-growth", "session-frame", "joint-step", "tool-slip", "housing-growth",
+    "thermal-growth",
 )  # what acts by time, session or temperature; that nothing else is taken for it, test_hidden.py asks  # fmt: skip
 EVERY: dict[str, tuple[Case, str]] = {
     "session-frame": (case("serial", Hidden("session-frame", 0, 3e-4), columns=DAYS, poses=90), "each session"),
@@ -27,6 +28,9 @@ EVERY: dict[str, tuple[Case, str]] = {
     "stand-growth of a tripod in warm air": (case("serial", Hidden("stand-growth", 0, 5e-5), columns=WARM), "temperature"),
     "stand-growth of a foot that creeps": (
         case("hh800", Hidden("stand-growth", 0, 4e-4, "settling"), columns=CLOCK, poses=90), "settling"
+    ),
+    "scale-growth of a wrong weather station": (
+        case("serial", Hidden("scale-growth", 0, 2e-5), columns=WARM), "with the temperature"
     ),
     "thermal-growth of one link": (case("serial", Hidden("link-growth", 2, 3e-4, "warm-up"), columns=CLOCK), "link 2"),
     "thermal-growth of a rod": (case("hh800", Hidden("bar-growth", 2, 2e-5), columns=WARM), "(rod, alone, with the temperature)"),
@@ -43,6 +47,7 @@ EVERY: dict[str, tuple[Case, str]] = {
 
 TOLD_APART = (  # of a device and of a robot; benchmarks/hidden_cases.py has all, by the whole catalogue
     "session-frame of one move", "frame-drift that wanders", "housing-growth", "thermal-growth of a rod",
+    "scale-growth of a wrong weather station",
 )  # fmt: skip
 
 

@@ -60,6 +60,7 @@ USUAL = {
     "warm-zero": (2, 1e-5, ""),
     "session-frame": (0, 3e-4, ""),
     "stand-growth": (0, 3e-5, ""),
+    "scale-growth": (0, 1e-5, ""),
     "wander": (0, 1.2e-4, ""),
     "tool-sag": (0, 1e-4, ""),
     "tool-bracket": (0, 3e-7, ""),

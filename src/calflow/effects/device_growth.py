@@ -1,4 +1,4 @@
-"""Growth of the measuring device: a stand that moves, or a camera's lens that changes, with the temperature or as it warms up."""
+"""Growth of the measuring device: a stand that moves, or a scale or a lens that changes, with the temperature or as it warms up."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
 
 SHIFT_SDS, TURN_SDS = (3e-4, 2e-5), (1e-4, 1e-5)  # when settled [m, rad]; per kelvin: of a stand of steel, 2 m high
+SCALE_SDS = (5e-5, 1e-5)  # when warm; per kelvin: of steel, ten times as much as of a beam in air
 LENS_SDS = (1e-3, 5e-5)  # when warm; per kelvin: of the focal length, a pixel or two at the edge of an image
 BOUND = 100.0  # standard deviations
 
@@ -125,6 +126,38 @@ class StandGrowth(DeviceGrowth):
     def change(self, p: ca.SX, point: ca.SX) -> ca.SX:
         """Return a point's displacement (3,)."""
         return displaced(p, point)
+
+
+@dataclass(frozen=True)
+class ScaleGrowth(DeviceGrowth):
+    """Reported position times 1 + s g, where g grows with T or with 1 - exp(-t / constant).
+
+    g is zero where the device was left: a constant scale is indistinguishable from longer links, but not one that changes.
+    """
+
+    id = "scale-growth"
+    title = "growth of the measuring device's scale"
+    words = Words(
+        "growth of the measuring device's scale",
+        "the device's metre, or all that is measured with it, grows with the temperature",
+        "relative change",
+    )
+    readable = {"1": (1e6, "µm/m")}
+    told_by = "measure a known length from time to time, and check the device's weather station"
+
+    @classmethod
+    def unfit(cls, robot: Robot, data: Measurements) -> str:
+        """Return what is missing where no positions were measured."""
+        return "" if data.has_positions else "measured positions"
+
+    @property
+    def changes(self) -> list[tuple[str, str, float, str]]:
+        """That of the scale."""
+        return [("s", "1", SCALE_SDS[0 if self.constant else 1], "growth of the scale")]
+
+    def change(self, p: ca.SX, point: ca.SX) -> ca.SX:
+        """Return a point's displacement (3,)."""
+        return p * point
 
 
 @dataclass(frozen=True)
