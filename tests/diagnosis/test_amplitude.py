@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.trial import Linearisation
-from calflow.diagnosis.verdict import Amplitude, amplitude, found_amplitude, same_quantities
+from calflow.diagnosis.verdict import (
+    Amplitude,
+    amplitude,
+    found_amplitude,
+    no_surer_than_its_size,
+    same_quantities,
+    verdict,
+)
 from diagnosis.found import cause, hidden, start
 
 FIRST, SECOND = (cause("joint-eccentricity", "joint2", order=order) for order in (1, 2))
@@ -98,3 +106,19 @@ def test_a_cause_at_its_bound_has_no_spread(fitted, finding):
     )
     assert not same_quantities(knee, cubic)
     assert same_quantities(FIRST, SECOND)
+
+
+@pytest.mark.parametrize(("distance", "doubted"), [(1.0, True), (9.0, True), (11.0, False)])
+def test_a_cause_is_no_surer_than_its_size(fitted, finding, distance, doubted):
+    """Breaks if a cause is called certain, or more probable than its size is unlike zero, where smooth errors may be all of it."""
+    own = fitted.model.columns(SECOND)
+    value, covariance = fitted.fit.estimate[own], fitted.covariance
+    wider = value @ np.linalg.solve(covariance[np.ix_(own, own)], value) / distance
+    told = no_surer_than_its_size(
+        finding, SimpleNamespace(model=fitted.model, fit=fitted.fit, covariance=wider * covariance)
+    )
+    sized, before = verdict(told), verdict(finding)
+    assert ("unexplained" in [rival.id for rival in sized.rivals]) == doubted
+    assert sized.probability <= min(before.probability, 1 / (1 + np.exp(-distance / 2)))
+    assert sized.probability == pytest.approx(1 / (1 / before.probability + np.exp(-distance / 2)), rel=0.01)
+    assert no_surer_than_its_size(replace(finding, unnamed=-1.0), fitted).unnamed == -1.0

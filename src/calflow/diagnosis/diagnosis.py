@@ -28,6 +28,7 @@ from calflow.diagnosis.verdict import (
     deployed_model,
     fitted_alternatives,
     models_in_reach,
+    no_surer_than_its_size,
     verdict,
 )
 from calflow.effects.cause import Cause
@@ -275,7 +276,8 @@ def search_causes(
         findings = weighed_against(findings, FittedTrial(first, extended, every))
     advance(0.8)
     beside = Linearisation.at(extended, every.effects).beside.scores if left or findings else ()
-    judged = [verdict(finding, every.untestable(finding.cause.id)) for finding in largest_first(findings, extended.fit)]
+    sized = [no_surer_than_its_size(finding, extended) for finding in largest_first(findings, extended.fit)]
+    judged = [verdict(finding, every.untestable(finding.cause.id)) for finding in sized]
     otherwise = judged or other or (extended.outlier_factor > 1).any()
     final = deployed_model(extended, judged) if otherwise else None
     # The search takes markers of a standstill as independent.

@@ -122,6 +122,18 @@ def verdict(finding: Detection[H], untestable: Mapping[str, str] = MappingProxyT
     return Verdict(**found, status="one_of" if ordered else "named", probability=probability, rivals=ordered)
 
 
+def no_surer_than_its_size(finding: Detection[Cause], fitted: Fitted) -> Detection[Cause]:
+    """Return a finding in whose place an unnamed error costs no more than its amplitudes' distance from zero, squared (Wald).
+
+    Their deviations include all smooth errors of the model, of which the search knows a part: what may be zero beside these is
+    not certain.
+    """
+    columns = [k for k in fitted.model.columns(finding.cause) if not fitted.fit.at_bound[k]]
+    value = fitted.fit.estimate[columns]
+    distance = float(value @ np.linalg.solve(fitted.covariance[np.ix_(columns, columns)], value)) if columns else np.inf
+    return replace(finding, unnamed=min(finding.unnamed, distance / TEMPERED))
+
+
 def _in_its_place(finding: Detection[H], untestable: Collection[str]) -> list[tuple[H | Untested | None, float]]:
     """Return what may be in a finding's place, with its log odds against that: each candidate but the form found, what could not be
     tested, alike by nature or for want of data (ids) and as likely as the finding, and none (None, the last).
