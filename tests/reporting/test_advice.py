@@ -122,6 +122,11 @@ def of_parts(**parts: str) -> pd.DataFrame:
     return pd.concat([parameter_table(parameter=name.replace("_", "."), part=part) for name, part in parts.items()])
 
 
+TURN_AND_PLACE = pd.concat(
+    [parameter_table(parameter="joint6.theta", part="joint6", unit="rad"), of_parts(E_x="E")]
+)  # what one marker cannot tell apart
+
+
 def placement(*markers: str) -> pd.DataFrame:
     kinds = {"base": "base"} | dict.fromkeys(markers, "marker")
     place = dict.fromkeys(("x_m", "y_m", "z_m", "rx_deg", "ry_deg", "rz_deg", "rx_rad", "ry_rad", "rz_rad"), 0.0)
@@ -314,8 +319,8 @@ SPEAKS: list[tuple[Rule, Mapping[str, object], int, str]] = [
                                                  sd=0.0032, prior_sd=UNKNOWN_SIZE_SD)}, 2,
      "The board is 2 % smaller than stated (± 0.3 %)"),
     (ranked.board_as_stated, {"identify/in_space.csv": in_space(0.2, 0.3, 0.4)}, 3, "and no image shows that. Measure it"),
-    (ranked.second_marker, {"identify/identifiability.csv": statements(("trade", "joint6.d;E.z")),
-      "identify/parameters.csv": of_parts(joint6_d="joint6", E_z="E")}, 3, "joint6.d from"),
+    (ranked.second_marker, {"identify/identifiability.csv": statements(("trade", "joint6.theta;E.x")),
+      "identify/parameters.csv": TURN_AND_PLACE}, 3, "joint6.theta from"),
     (ranked.unseen_compliance,
      {"identify/identifiability.csv": statements(("silent", "joint1.s")),
       "identify/parameters.csv": parameter_table(parameter="joint1.s", part="joint1", joint=1, unit="rad/Nm")}, 3, "joint 1"),
@@ -506,9 +511,11 @@ def test_every_rule_is_tested() -> None:
                                          "identify/placement.csv": placement("A", "B"),
                                          "identify/parameters.csv": of_parts(joint6_d="joint6", A_z="A", B_z="B")}),
         (ranked.second_marker, {"identify/identifiability.csv": statements(("trade", "joint6.d;joint5.a"))}),
-        (ranked.second_marker, {"identify/identifiability.csv": statements(("trade", "joint6.d;E.z")),
-                                         "identify/observations.csv": observed("pose"),  # the tool's turn was measured
+        (ranked.second_marker, {"identify/identifiability.csv": statements(("trade", "joint6.d;E.z")),  # of one sum
                                          "identify/parameters.csv": of_parts(joint6_d="joint6", E_z="E")}),
+        (ranked.second_marker, {"identify/identifiability.csv": statements(("trade", "joint6.theta;E.x")),
+                                         "identify/observations.csv": observed("pose"),  # the tool's turn was measured
+                                         "identify/parameters.csv": TURN_AND_PLACE}),
         (ranked.unseen_compliance, {"identify/identifiability.csv": statements(("silent", "joint2.a"))}),
         (ranked.model_lacks, {**summary(reduced_chi2=9.0), **summary("diagnose", reduced_chi2=1.1)}),
         (ranked.model_lacks, {**summary(reduced_chi2=9.0), "diagnose/findings.csv": found("unexplained")}),

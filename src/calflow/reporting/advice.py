@@ -532,18 +532,22 @@ def allowed_range(row: FittedParameter) -> str:
 
 
 def second_marker(outcome: RunOutcome) -> Iterator[Advice]:
-    """A correlation between the last link and the only marker is resolved by a second one, unless the tool's turn was measured."""
+    """A correlation between an angle and the only marker is resolved by a second one, unless the tool's turn was measured.
+
+    Of a length that moves the marker as its own place does, every further marker shows the same sum.
+    """
     markers = [placed.what for placed in outcome.placement if placed.kind == "marker"]
     kinds = {row.kind for row in outcome.results.rows("identify/observations.csv", ModelObservation)}
     if len(markers) != 1 or any(RADIAN in observation_kinds()[kind].units for kind in kinds):
         return
     marker = markers[0]
     places = {row.parameter for row in outcome.identified_parameters if row.part == marker}
+    turns = {row.parameter for row in outcome.identified_parameters if row.unit == RADIAN.symbol}
     trades = [set(trade.parameters) for trade in of_kind(outcome, "trade")]
-    links = {name for trade in trades if places & trade for name in trade - places}
-    if links:
+    angles = {name for trade in trades if places & trade for name in trade & turns}
+    if angles:
         sentence = (
-            f"To separate {spoken(sorted(links), outcome, 3)} from the position of marker {marker}, measure two or three markers "
+            f"To separate {spoken(sorted(angles), outcome, 3)} from the position of marker {marker}, measure two or three markers "
             "on the tool, far apart."
         )
         yield Advice(3, sentence, WITH_MORE, poses=MOST_NEXT_POSES)
