@@ -14,8 +14,8 @@ from calflow.diagnosis.misfit import largest_misfit
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.trial import Linearisation
 from calflow.diagnosis.unexplained import POSE, UnexplainedStructure, is_of_its_curve, left_along
-from calflow.effects.wording import NamedCause
-from calflow.estimation.calibrated_model import Alternative
+from calflow.diagnosis.verdict import Rival
+from calflow.effects.wording import UNEXPLAINED, NamedCause
 from calflow.files.problems import InputError
 from calflow.files.tables import from_frame, to_frame
 from calflow.model import build
@@ -46,8 +46,9 @@ def test_a_cause_that_may_be_something_unnamed_promises_no_more_than_the_model_w
     eccentric = cause("joint-eccentricity", "joint1", order=2)
     plain = start(hidden([(eccentric, (4e-4, -3e-4))], poses=30))
     extended = plain.with_causes([eccentric])
-    without = Alternative(plain.model, plain.fit.estimate, doubt, gone=eccentric)
-    found = replace(diagnosis(extended), start=plain, alternatives=(without,))
+    unnamed = Rival(UNEXPLAINED, 0, -2 * np.log(doubt), None)
+    named = replace(judged(score(-50.0, "joint-eccentricity", 1, order=2)), rivals=(unnamed,), probability=1.0)
+    found = replace(diagnosis(extended), start=plain, verdicts=(named,))
     limits = [model.left_out.upper_limit(not least) for model in (plain, extended)]
     assert limits[0] > 2 * limits[1]
     assert found.upper_limit == pytest.approx(limits[0 if least else 1], rel=0.05)

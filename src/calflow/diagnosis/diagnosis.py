@@ -88,15 +88,16 @@ class Diagnosis:
     def upper_limit(self) -> float:
         """Upper 95 % confidence limit of the error at new poses [m]; nan where it is unknown.
 
-        A cause in whose place an unnamed error acts with a probability of more than 5 % is not relied on: the limit is no less than
-        that of the model without it. Nor does the noise tell how large errors are where another model is as probable.
+        A cause in whose place, by the evidence, an unnamed error acts with a probability of more than 5 % is not relied on: the
+        limit is no less than that of the model without it. Nor does the noise tell how large errors are where another model is as
+        probable.
         """
         final = self.final or self.extended
-        doubted = [
-            other.gone for other in self.alternatives if other.gone and not other.rival and other.probability > UNSURE
-        ]
+        unnamed = {verdict.cause: verdict.of_unnamed for verdict in self.verdicts[: self.n_deployed]}
+        doubted = [cause for cause, probability in unnamed.items() if probability > UNSURE]
         without = [final.with_causes([cause for cause in final.causes if cause != gone]) for gone in doubted]
-        sure = final.noise.known and sum(other.probability for other in self.alternatives) <= UNSURE
+        others = sum(other.probability for other in self.alternatives if other.rival) + sum(unnamed.values())
+        sure = final.noise.known and others <= UNSURE
         return max(fitted.left_out.upper_limit(sure) for fitted in (final, *without))
 
     @property

@@ -88,6 +88,11 @@ class Verdict(Detection[H]):
         """The probability of its family at its joint, whichever member it is."""
         return self._of_all(NamedCause.covers)
 
+    @property
+    def of_unnamed(self) -> float:
+        """The probability, by the evidence, of an unnamed error in its place."""
+        return sum(_probability(self, rival) for rival in self.rivals if rival.id == UNEXPLAINED)
+
     def _of_all(self, alike: Callable[[NamedCause, NamedCause], bool]) -> float:
         own = named(self.cause)
         costs = [(named(best.cause), cost - self.cost) for cost, best in self.places.values()]
@@ -177,7 +182,8 @@ def fitted_alternatives(
         for verdict in verdicts
         for probability, form in _forms_by_other_conditions(verdict, final.model)
     ]
-    asked += [(_of_unnamed(verdict), verdict.cause, None) for verdict in verdicts
+    # How well an unnamed error explains the data, its form being a guess, says which is likelier, but not by how much.
+    asked += [((verdict.probability + verdict.of_unnamed) / 2, verdict.cause, None) for verdict in verdicts
               if verdict.cause in doubted or UNEXPLAINED in {rival.id for rival in verdict.rivals}]  # fmt: skip
     asked += [(suspect.probability, None, suspect.cause) for suspect in suspected]
     asked += [
@@ -216,15 +222,6 @@ def _probability(verdict: Verdict, rival: Rival) -> float:
     """Return the rival's probability by the verdict; one that could not be tested never counts more than the cause."""
     cost = rival.cost if rival.cause else max(rival.cost, 0.0)
     return float(verdict.probability * np.exp(-cost / 2))
-
-
-def _of_unnamed(verdict: Verdict) -> float:
-    """Return the probability of an unnamed error that a cause cannot be told from: what both have is shared evenly.
-
-    How well an unnamed error explains the data, its form being a guess, says who wins, but too little of how surely.
-    """
-    told = (_probability(verdict, rival) for rival in verdict.rivals if rival.id == UNEXPLAINED)
-    return (verdict.probability + sum(told)) / 2
 
 
 @dataclass(frozen=True)
