@@ -311,6 +311,11 @@ SPEAKS: list[tuple[Rule, Mapping[str, object], int, str]] = [
      {**promised(57, 0.65, sd_mm=25.0),
       "identify/parameters.csv": parameter_table(prior_share=0.99, sd=0.02, joint=float("nan"), meaning="z of marker E")},
      2, "No measurement tells z of marker E, and it counts as known to 20.00 mm only. That is most of the 25.00 mm to expect"),
+    (ranked.place_assumed,
+     {**promised(57, 0.65, sd_mm=25.0),
+      "identify/parameters.csv": pd.concat(
+          parameter_table(prior_share=0.99, sd=0.02, joint=float("nan"), meaning=f"{axis} of marker E") for axis in "xyz")},
+     2, "No measurement tells x of marker E, y of marker E and z of marker E, and they count as known to 20.00 mm only."),
     (ranked.unlike_expected,
      {"identify/parameters.csv": parameter_table(estimate=2e-3, prior_mean=3e-4, prior_sd=2e-4, meaning="zero of joint 4")}, 2,
      "contradict what robot file or study expects of zero of joint 4"),

@@ -461,17 +461,20 @@ def mistaken_figures(outcome: RunOutcome) -> Iterator[Advice]:
 def place_assumed(outcome: RunOutcome) -> Iterator[Advice]:
     """A marker's place that nothing measures, and that makes most of what is promised of the tool, is worth stating better."""
     promised = outcome.certainty.prediction_sd_mm if outcome.certainty.untold else math.inf
-    for row in outcome.fitted_parameters:
-        assumed = row.effect == Geometry.id and not row.joint and row.unit == "m" and row.prior_share > BY_PRIOR
-        if assumed and 1e3 * row.sd > BY_PRIOR * promised:
-            sentence = (
-                f"No measurement tells {meant(row)}, and it counts as known to {mm(1e3 * row.sd)} mm only. That is most of the "
-                f"{mm(promised)} mm to expect of the tool in the measuring frame. State it better, or the place of what it was "
-                "measured from."
-            )
-            yield Advice(
-                2, sentence, AT_THE_DESK, f"[parameters.{row.parameter}] with prior_mean_mm = 0 and prior_sd_mm"
-            )
+    assumed = [
+        row for row in outcome.fitted_parameters
+        if row.effect == Geometry.id and not row.joint and row.unit == "m" and row.prior_share > BY_PRIOR
+        and 1e3 * row.sd > BY_PRIOR * promised
+    ]  # fmt: skip
+    if assumed:
+        counts = "it counts" if len(assumed) == 1 else "they count"
+        sentence = (
+            f"No measurement tells {listed([*map(meant, assumed)])}, and {counts} as known to "
+            f"{mm(1e3 * max(row.sd for row in assumed))} mm only. That is most of the {mm(promised)} mm to expect of the tool in "
+            "the measuring frame. State it better, or the place of what it was measured from."
+        )
+        tables = listed([f"[parameters.{row.parameter}]" for row in assumed])
+        yield Advice(2, sentence, AT_THE_DESK, f"{tables} with prior_mean_mm = 0 and prior_sd_mm")
 
 
 def unlike_expected(outcome: RunOutcome) -> Iterator[Advice]:
