@@ -16,7 +16,7 @@ from calflow.estimation import least_squares
 from calflow.estimation.fit import Fit, IntraclassLikelihood, fit, fit_to_all
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.leverage import Studentised, left_out
-from calflow.estimation.noise import AT_LEAST, Noise, members, representative, standstills
+from calflow.estimation.noise import AT_LEAST, Noise, members, representative
 from calflow.measurements.measurements import Measurements
 from calflow.sampling.log_posterior import Laplace, LogPosterior
 from estimation.data import calibration
@@ -140,7 +140,7 @@ def test_rows_that_stand_for_all_are_whole_standstills_of_every_payload(small: t
     seldom = pose >= np.quantile(pose, 0.9)
     data = replace(data, table=data.table.assign(payload=np.where(seldom, "seldom", "often")))
     some = representative(data, 900)
-    assert len(np.unique(standstills(data)[some])) + len(np.unique(standstills(data)[~some])) == 40 * 30
+    assert len(np.unique(data.standstill[some])) + len(np.unique(data.standstill[~some])) == 40 * 30
     assert some[seldom].sum() >= 0.9 * AT_LEAST
     assert 0.2 < some[~seldom].mean() < 0.3
     assert_allclose([some[~seldom & (pose % 4 == k)].mean() for k in range(4)], some[~seldom].mean(), rtol=0.2)

@@ -17,7 +17,7 @@ import scipy
 from calflow.deployment.figures_alone import FiguresAlone
 from calflow.estimation.accuracy import judged_unit
 from calflow.estimation.calibrated_model import CalibratedModel
-from calflow.estimation.noise import conditions, group_means, members
+from calflow.estimation.noise import group_means, members
 from calflow.files.deferred import Rotation, pd
 from calflow.files.problems import refuse
 from calflow.files.units import METRE, MeasurementUnit
@@ -401,7 +401,7 @@ class Attained:
 
 def _points(data: Measurements) -> tuple[pd.DataFrame, np.ndarray]:
     """Return the points with labels and row counts, and each row's point index."""
-    group = np.unique(conditions(data), return_inverse=True)[1]
+    group = np.unique(data.repeated, return_inverse=True)[1]
     first = np.unique(group, return_index=True)[1]
     labels = [name for name in ("pose", "marker", "payload", "session") if name in data.table]
     return data.table.iloc[first][labels].reset_index(drop=True).assign(rows=np.bincount(group)), group

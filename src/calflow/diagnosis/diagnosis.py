@@ -20,7 +20,7 @@ from calflow.diagnosis.misfit import MisfitRegion, largest_misfit
 from calflow.diagnosis.noise_model import Growth, NoiseLevels, noise_of_repeats, noise_of_residuals
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.stepwise import SHARES, CauseAcceptance, Stepwise, words
-from calflow.diagnosis.trial import Linearisation, Screened
+from calflow.diagnosis.trial import Screened
 from calflow.diagnosis.unexplained import Standstills, UnexplainedStructure, doubtful, suspected, unexplained
 from calflow.diagnosis.verdict import (
     ModelInReach,
@@ -257,7 +257,8 @@ def search_causes(
     searched = extend(start, wanted, search)
     basis, first = BackgroundBasis.of(start), searched.first
     search = replace(search, rng=rng("background"), advance=nobody)
-    extended, findings = weighed(start, searched, basis, wanted, search)
+    ended, findings = weighed(start, searched, basis, wanted, search)
+    extended = ended.fitted
     advance(SEARCHED)
     standstills = Standstills.of(extended, basis)
     significance = SHARES["unexplained"] * false_alarm
@@ -272,11 +273,13 @@ def search_causes(
         say(f"{other.words}, p = {other.p:.2g}")
     at_rest = [standstills.unexplained(k) for k in standstills.joints]
     left = unexplained(extended, significance, rng("decoys"), say, at_rest, standstills.background)
-    every = Catalogue.of(train, have)
-    if findings and (catalogue or leave_out):
-        findings = weighed_against(findings, FittedTrial(first, extended, every))
+    every = Catalogue.of(train, have) if catalogue or leave_out else wanted
+    if every is not wanted or extended is not ended.fitted:
+        ended = FittedTrial(first, extended, every)
+    if findings and every is not wanted:
+        findings = weighed_against(findings, ended)
     advance(0.8)
-    beside = Linearisation.at(extended, every.effects).beside.scores if left or findings else ()
+    beside = ended.linearisation.beside.scores if left or findings else ()
     sized = [no_surer_than_its_size(finding, extended) for finding in largest_first(findings, extended.fit)]
     judged = [verdict(finding, every.untestable(finding.cause.id)) for finding in sized]
     otherwise = judged or other or (extended.outlier_factor > 1).any()

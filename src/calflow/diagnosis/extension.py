@@ -227,8 +227,8 @@ def _relative_amplitudes(
 
 def weighed(
     start: Fitted, first: FittedTrial, basis: BackgroundBasis, catalogue: Catalogue, search: Stepwise
-) -> tuple[Fitted, tuple[Detection[Cause], ...]]:
-    """Return the extended model and its findings, after alternating between the causes found first and background.
+) -> tuple[FittedTrial, tuple[Detection[Cause], ...]]:
+    """Return the trial of the extended model and its findings, after alternating between the causes found first and background.
 
     start is the model without them. Causes that the background explains better, or that do not carry over, are dropped, and the
     search continues from the others until nothing that it finds is left beside those that it began from.
@@ -273,7 +273,7 @@ def weighed(
         ended = ended.with_causes([cause for cause in ended.causes if cause != hidden])
     against = unnamed(ended.fitted, basis, catalogue.variants, varying=uneven_or_other_forms)
     carries = dict(zip(against, carrying(ended.fitted, basis, against), strict=True)) if against else {}
-    return ended.fitted, tuple(
+    return ended, tuple(
         replace(finding, unnamed=against[finding.cause], carries_over=carries[finding.cause])
         for finding in ended.weighed_findings
     )

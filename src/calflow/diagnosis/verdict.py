@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from itertools import chain, combinations
+from itertools import chain, combinations, islice
 from types import MappingProxyType
 from typing import Generic, Literal
 
@@ -290,10 +290,11 @@ def models_in_reach(
         others = _in_its_place(finding, catalogue.untestable(finding.cause.id))
         instead.append((finding.cause, [(comes, log_odds + forms) for comes, log_odds in others]))
     for goes, others in (*instead, (None, besides)):
-        near = ((model, *other) for model in models for other in others if model.log_weight + other[1] > -REACH)
-        every = [_changed(model, goes, comes, log_odds) for model, comes, log_odds in near]
-        models += [model for model in every if _differ(model.causes)]
-        models = [models[0], *sorted(models[1:], key=lambda model: -model.log_weight)[: MOST_IN_REACH - 1]]
+        near = [(model, *other) for model in models for other in others if model.log_weight + other[1] > -REACH]
+        near.sort(key=lambda change: -(change[0].log_weight + change[2]))
+        every = (_changed(model, goes, comes, log_odds) for model, comes, log_odds in near)
+        likeliest = islice((model for model in every if _differ(model.causes)), MOST_IN_REACH)
+        models[1:] = sorted([*models[1:], *likeliest], key=lambda model: -model.log_weight)[: MOST_IN_REACH - 1]
     if suspected:
         used = models[0]
         for cause, others in instead:

@@ -24,7 +24,7 @@ from calflow.estimation.least_squares import LeastSquares, Loss
 from calflow.estimation.leverage import LeftOut, excess, left_out
 from calflow.estimation.model_tables import IdentifySummary, fit_figures
 from calflow.estimation.needed_conditions import needed_conditions
-from calflow.estimation.noise import Noise, NoiseSource, averaged, conditions, measured_noise, representative
+from calflow.estimation.noise import Noise, NoiseSource, averaged, measured_noise, representative
 from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
 from calflow.estimation.registration import registered_model
 from calflow.files.problems import refuse
@@ -183,7 +183,7 @@ def too_few_equations(model: Model, train: Measurements) -> str:
     """Return the message that a model has more parameters without a stated prior than equations; empty where it has not."""
     expected = {key for key, expectation in model.robot.expectations.items() if expectation.mean is not None}
     unknown = sum(expected.isdisjoint((parameter.identity, parameter.name)) for parameter in model.parameters)
-    first = np.unique(conditions(train), return_index=True)[1]
+    first = np.unique(train.repeated, return_index=True)[1]
     equations = sum(len(model.observations[k].units) for k in train.series_number[first])
     if equations >= unknown:
         return ""

@@ -17,7 +17,7 @@ import numpy as np
 import scipy
 
 from calflow.estimation.accuracy import observing
-from calflow.estimation.noise import Noise, standstills
+from calflow.estimation.noise import Noise
 from calflow.files.units import METRE, MeasurementUnit
 from calflow.measurements.measurements import Measurements
 from calflow.model import Asked, Model
@@ -168,7 +168,7 @@ class LeastSquares:
             rows = np.flatnonzero(data.of_series(k))
             if not len(rows):
                 continue
-            standstill = sharing(observation, noise, data.only(data.of_series(k)))
+            standstill = sharing(observation, noise, data)[rows]
             order = np.argsort(standstill, kind="stable")
             rows, standstill, units = rows[order], standstill[order], observation.units
             noise_of_rows, reported = noise.only(rows), observation.reported(data.table.iloc[rows])
@@ -311,12 +311,12 @@ def _harmonic(sizes: np.ndarray) -> float:
 
 
 def sharing(observation: Observation, noise: Noise, data: Measurements) -> np.ndarray:
-    """Return the number of the standstill (n_rows,) in which each row of a series shares errors with others.
+    """Return the number of the standstill (n_rows,) in which each row, of a series, shares errors with others.
 
     Errors are shared along common axes only, of isotropic positions or of an image.
     """
     shared = observation.series.within or (observation.units == (METRE,) * 3 and noise.axes is None)
-    return standstills(data) if shared else np.arange(len(data))
+    return data.standstill if shared else np.arange(len(data))
 
 
 def rho(squared: np.ndarray, loss: Loss) -> np.ndarray:

@@ -18,7 +18,6 @@ from calflow.estimation.accuracy import leading_errors, observing
 from calflow.files.problems import refuse
 from calflow.files.units import METRE, RADIAN, MeasurementUnit
 from calflow.measurements.measurements import Measurements
-from calflow.measurements.rows import condition_columns
 from calflow.model import Model
 from calflow.observations import leading_units
 from calflow.robot.frames import angles
@@ -284,11 +283,11 @@ def stated_noise(data: Measurements) -> Noise:
 
 
 def averaged(data: Measurements, noise: Noise) -> tuple[Measurements, Noise]:
-    """Return the mean of each pose's repeats (see `conditions`), and the noise of the means.
+    """Return the mean of each pose's repeats (see `Measurements.repeated`), and the noise of the means.
 
     The model's discrepancy is the same in all repeats of a pose, so that together they count as one observation of it.
     """
-    group = conditions(data)
+    group = data.repeated
     count = np.bincount(group)
     if (count == 1).all():
         return data, noise
@@ -318,20 +317,6 @@ def averaged(data: Measurements, noise: Noise) -> tuple[Measurements, Noise]:
     return replace(data, table=table), means
 
 
-def conditions(data: Measurements) -> np.ndarray:
-    """Return the repeat group (n_rows,) of each row: its series, session, pose, marker, payload, touch, approach and wrench."""
-    within = dict.fromkeys(name for series in data.series for name in series.within)
-    keys = [*_of_standstill(data), "marker", *(name for name in within if name in data.table)]
-    return data.table.groupby(keys, sort=False, dropna=False).ngroup().to_numpy()
-
-
-def standstills(data: Measurements) -> np.ndarray:
-    """Return the number (n_rows,) of the standstill at which each row was measured; markers and repeats may share one."""
-    if data.table["pose"].is_unique:
-        return np.arange(len(data))
-    return data.table.groupby(_of_standstill(data), sort=False, dropna=False).ngroup().to_numpy()
-
-
 def representative(data: Measurements, rows: int = REPRESENTATIVE) -> np.ndarray:
     """Return a mask (n_rows,) of about `rows` rows drawn evenly by whole standstills; all rows where there are no more."""
     if len(data) <= rows:
@@ -339,20 +324,12 @@ def representative(data: Measurements, rows: int = REPRESENTATIVE) -> np.ndarray
     kinds = [name for name in ("series", "session", "payload") if name in data.table]
     kind = data.table.groupby(kinds, sort=False, dropna=False).ngroup().to_numpy()
     share = np.maximum(rows / len(data), AT_LEAST / np.bincount(kind))
-    return np.asarray(standstills(data) * GOLDEN % 1 < share[kind])
-
-
-def _of_standstill(data: Measurements) -> list[str]:
-    given = [condition for condition in ("approach", "wrench") if condition in data.given]
-    columns = [name for condition in given for name in condition_columns(condition, data.robot)]
-    labels = [name for series in data.series for name in series.labels]
-    there = [name for name in dict.fromkeys(["series", "session", *labels]) if name in data.table]
-    return ["pose", "payload", *columns, *there]
+    return np.asarray(data.standstill * GOLDEN % 1 < share[kind])
 
 
 def repeats_scatter(data: Measurements, error: np.ndarray) -> Scatter:
     """Return the scatter of repeats by their `leading_errors` (n_rows, n_axes); rows of no split have none."""
     used = data.train | data.held_out
-    apart, count = deviations(np.nan_to_num(error), conditions(data), used)
+    apart, count = deviations(np.nan_to_num(error), data.repeated, used)
     freedom = (~np.isnan(error)).sum(axis=1) * (1 - 1 / np.maximum(count, 1))
     return Scatter(np.where(used, (apart**2).sum(axis=1), 0.0), np.where(used, freedom, 0.0))

@@ -7,7 +7,6 @@ from functools import cached_property
 
 import numpy as np
 
-from calflow.estimation.noise import conditions
 from calflow.faults.rough import lengths
 from calflow.faults.setup import FittedSetup, Setup
 from calflow.measurements.measurements import Measurements
@@ -27,7 +26,7 @@ class Reference:
     @staticmethod
     def of(data: Measurements, setup: Setup) -> Reference | None:
         """Return the fit of the richest model of a set-up that the training rows determine; None if they are too few for any."""
-        equations = 3 * len(np.unique(conditions(data.only(data.train))))
+        equations = 3 * len(np.unique(data.only(data.train).repeated))
         for candidate in (setup, setup.without_springs, setup.rigid):
             if EQUATIONS * (candidate.sd > 0).sum() <= equations:
                 return Reference(data, setup, candidate.fitted)

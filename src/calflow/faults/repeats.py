@@ -12,7 +12,7 @@ import scipy
 
 from calflow.estimation.accuracy import leading_errors
 from calflow.estimation.lack_of_fit import NORMAL_MEDIAN
-from calflow.estimation.noise import MIN_REPEATS, conditions, deviations, members
+from calflow.estimation.noise import MIN_REPEATS, deviations, members
 from calflow.estimation.registration import registered_model
 from calflow.faults.base import Fault, faulty_rows
 from calflow.faults.outlier import SMALL, in_range, limit_of_length, of_no_cause
@@ -29,7 +29,7 @@ def odd_repeats(data: Measurements) -> tuple[Fault, ...]:
 
     Errors are those of the nominal robot, so that joint readings may differ between repeats.
     """
-    used, group = data.train | data.held_out, conditions(data)
+    used, group = data.train | data.held_out, data.repeated
     repeated = used & (np.bincount(group, weights=used)[group] > 1)
     if not repeated.any():
         return ()

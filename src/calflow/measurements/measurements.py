@@ -239,6 +239,29 @@ class Measurements:
         """Number of measurements that each row is the mean of, shape (n_rows,)."""
         return self.table["of_repeats"].to_numpy() if "of_repeats" in self.table else np.ones(len(self))
 
+    @cached_property
+    def repeated(self) -> np.ndarray:
+        """Repeat group (n_rows,) of each row: its series, session, pose, marker, payload, touch, approach and wrench."""
+        within = dict.fromkeys(name for series in self.series for name in series.within)
+        return self._grouped([*self._of_standstill, "marker", *(name for name in within if name in self.table)])
+
+    @cached_property
+    def standstill(self) -> np.ndarray:
+        """Number (n_rows,) of the standstill at which each row was measured; markers and repeats may share one."""
+        return np.arange(len(self)) if self.table["pose"].is_unique else self._grouped(self._of_standstill)
+
+    @property
+    def _of_standstill(self) -> list[str]:
+        given = [condition for condition in ("approach", "wrench") if condition in self.given]
+        columns = [name for condition in given for name in condition_columns(condition, self.robot)]
+        labels = [name for series in self.series for name in series.labels]
+        there = [name for name in dict.fromkeys(["series", "session", *labels]) if name in self.table]
+        return ["pose", "payload", *columns, *there]
+
+    def _grouped(self, columns: list[str]) -> np.ndarray:
+        """Return numbers (n_rows,), the same for rows that are alike in some columns, in the order of their first rows."""
+        return np.asarray(self.table.groupby(columns, sort=False, dropna=False).ngroup())
+
     @property
     def train(self) -> np.ndarray:
         """Mask of the training rows, shape (n_rows,)."""
@@ -281,7 +304,7 @@ class Measurements:
 
     def only(self, mask: np.ndarray) -> Measurements:
         """Return the rows where mask is true."""
-        return replace(self, table=self.table[mask].reset_index(drop=True))
+        return self if mask.all() else replace(self, table=self.table[mask].reset_index(drop=True))
 
     def stating(self, conditions: Collection[str]) -> Measurements:
         """Return the rows without the optional conditions that are not among these."""

@@ -13,7 +13,6 @@ from calflow.deployment.prediction import as_stated, beyond_limits
 from calflow.design.candidates import candidates
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.model_tables import IdentifySummary, calibrated
-from calflow.estimation.noise import conditions
 from calflow.faults import corrected
 from calflow.faults.implausible import plausible
 from calflow.files.deferred import pd
@@ -130,7 +129,7 @@ def _problems(study: Study, settings: SampleSettings, data: Measurements | None)
 def _demand(study: Study, settings: SampleSettings, data: Measurements) -> Demand:
     """Estimate the demand: time for the walkers' residuals, memory for the draws' predictions of all rows."""
     train = data.only(data.train)
-    first = np.unique(conditions(train), return_index=True)[1]  # repeats are averaged
+    first = np.unique(train.repeated, return_index=True)[1]  # repeats are averaged
     residuals = sum(
         len(seen.units) * int(train.of_series(k)[first].sum()) for k, seen in enumerate(observations(train))
     )
