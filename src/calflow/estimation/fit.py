@@ -32,6 +32,7 @@ SETTLED = 1e-8
 # IPOPT's status after that stop, and the status that the user sees.
 STOPPED, SOLVED = "User_Requested_Stop", "Solve_Succeeded"
 INTERRUPTED = "NonIpopt_Exception_Thrown"  # IPOPT's status after Ctrl-C, which CasADi catches without raising
+INSIDE = 1e-3  # of the range between its bounds, by which a parameter that starts on one is moved inside
 SAME_OPTIMUM = 1e-2  # difference in the objective (half chi²) below which two starts reached the same optimum
 START_ROWS = 2000  # rows on which several starts are compared; the fit to all rows begins at the best
 NOISE_PASSES = 4  # refits at most, in which the estimated noise settles
@@ -125,9 +126,12 @@ def fit(problem: LeastSquares, starts: np.ndarray | None = None, loss: Loss = "l
     model = problem.model
     starts = model.prior_mean[None] if starts is None else starts
     lower, upper = model.bounds.T / model.prior_sd
+    room = INSIDE * (upper - lower)
     solutions = []
-    for start in starts:
-        inside = np.clip(start / model.prior_sd, lower + 1e-3 * (upper - lower), upper - 1e-3 * (upper - lower))
+    for start in starts / model.prior_sd:
+        # What an earlier fit left just inside a bound stays there: from further off, the first step would stop at the bound.
+        stopped = (start <= lower) | (start >= upper)
+        inside = np.where(stopped, np.clip(start, lower + room, upper - room), start)
         solution = solver(x0=inside, lbx=lower, ubx=upper)
         if solver.stats()["return_status"] == INTERRUPTED:
             raise KeyboardInterrupt
@@ -242,7 +246,8 @@ def _solver(problem: LeastSquares, loss: Loss) -> tuple[ca.Function, Callable[[b
         "iteration_callback": stop,
         "ipopt": {"print_level": 0, "sb": "yes", "tol": TOLERANCE, "max_iter": 200, "nlp_scaling_method": "none",
                   "mu_init": min(BARRIER, 0.1 * SAME_OPTIMUM / scale),
-                  "bound_mult_init_method": "mu-based", "bound_relax_factor": 0.0},
+                  "bound_mult_init_method": "mu-based", "bound_relax_factor": 0.0,
+                  "bound_push": 1e-12, "bound_frac": 1e-12},
     }  # fmt: skip
     return ca.nlpsol("fit", "ipopt", nlp, options), at, [nlp, gradient, hessian, stop]
 
