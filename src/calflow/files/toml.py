@@ -5,7 +5,6 @@ Arguments of functions called from Python are validated by their annotations, wi
 
 from __future__ import annotations
 
-import copy
 import inspect
 import math
 import re
@@ -391,24 +390,15 @@ def validate_table(
 
 
 def sound_part(raw: dict[str, Any], kind: type[File], otherwise: Mapping[str, Any]) -> File | None:
-    """Return a parsed table as a model without the keys that are wrong in it, so that what the others name can be checked too.
+    """Return a parsed table as a model without the keys and the tables in it that hold mistakes: what the others name is checked.
 
-    otherwise has values for keys that are wrong; None if still others are required.
+    otherwise has values for keys that are left out; None if still others are required.
     """
     try:
         return cast(File, adapter(kind).validate_python(raw))
     except ValidationError as error:
-        wrong = [_named(item["loc"]) for item in error.errors(include_url=False)]
-    left = copy.deepcopy(raw)
-    for *way, last in filter(None, wrong):
-        table: Any = left
-        for part in way:
-            if not isinstance(table.get(part), dict):
-                last = part  # a list is left out as a whole
-                break
-            table = table[part]
-        for key in [key for key in table if last in (key, split_unit(key)[0])]:
-            del table[key]
+        wrong = {str(_named(item["loc"])[0]) for item in error.errors(include_url=False) if item["loc"]}
+    left = {key: value for key, value in raw.items() if wrong.isdisjoint((key, split_unit(key)[0]))}
     with suppress(ValidationError):
         return cast(File, adapter(kind).validate_python({**otherwise, **left}))
     return None
