@@ -523,8 +523,7 @@ class Screening(ScoreTests[H]):
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return u (n_columns, n_draws) and chi² (n_draws,) of residuals (n, n_draws) with the priors' pull (n_free, n_draws).
 
-        If size (n,) is given residuals are multiplied by it, so that draws can be signs, which take little memory. The largest
-        product is of single precision, which is far finer than draws need, and takes half the time.
+        If size (n,) is given residuals are multiplied by it, so that draws can be signs, which take little memory.
         """
         r, size = self.regressors, np.ones(len(residual)) if size is None else size
         steps = [slice(start, start + DRAWN_AT_ONCE) for start in range(0, residual.shape[1], DRAWN_AT_ONCE)]
@@ -535,10 +534,9 @@ class Screening(ScoreTests[H]):
             gradient[:, draws] += self.prediction_root @ drawn
             chi2[draws] += (drawn**2).sum(axis=0)
         for rows, x in r.matrix.blocks():
-            predicts, single = self.prediction_root[:, rows].T, x.astype(np.float32)
+            predicts = self.prediction_root[:, rows].T
             for draws in steps:
-                left = size[rows, None] * residual[rows, draws] - predicts @ gradient[:, draws]
-                score[:, draws] += single.T @ left.astype(np.float32)
+                score[:, draws] += x.T @ (size[rows, None] * residual[rows, draws] - predicts @ gradient[:, draws])
         return score, chi2 - (gradient**2).sum(axis=0)
 
     def imitation(self, columns: np.ndarray) -> np.ndarray:
