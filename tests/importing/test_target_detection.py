@@ -168,7 +168,7 @@ def test_why_an_image_is_left_out_is_said(tmp_path):
     assert left_out[["text.png", "gone.png"]].tolist() == ["cannot be read as an image", "is not there"]
     rows = pd.read_csv(tmp_path / "study" / "measurements.csv")
     assert (rows["q2_deg"] == 2).all()
-    assert (tmp_path / "study" / "detections" / "good.png").stat().st_size > 1000
+    assert (tmp_path / "study" / "detections" / "good.png.png").stat().st_size > 1000
     assert in_process("detect", *names, "--target", board, "--into", tmp_path / "study").code == 2
 
 
@@ -197,6 +197,18 @@ def test_pictures_and_standstills_that_are_there_twice_and_other_boards_are_said
     images = pd.read_csv(tmp_path / "study" / "measurements.csv").drop_duplicates("image").set_index("image")
     assert images["pose"].to_dict() == {"first.png": 1, "second.png": 2, "third.png": 1}
     assert images["repeat"].to_dict() == {"first.png": 1, "second.png": 1, "third.png": 2}
+
+
+def test_images_that_differ_by_their_ending_alone_have_a_picture_each(tmp_path):
+    """Fails if what was found in 1.png is drawn over what was found in 1.bmp."""
+    said, rng = KINDS["charuco"], np.random.default_rng(6)
+    names = [tmp_path / f"1.{ending}" for ending in ("bmp", "png")]
+    for name, turned in zip(names, (0.3, 0.1), strict=True):
+        cv2.imwrite(str(name), rendered(flat_picture(said), turned, rng)[0])
+    answer = in_process("detect", *names, "--target", written(tmp_path, **said), "--into", tmp_path / "study")
+    assert answer.code == 0, answer
+    drawn = sorted(path.name for path in (tmp_path / "study" / "detections").glob("*.png"))
+    assert drawn == ["1.bmp.png", "1.png.png"]
 
 
 @pytest.mark.parametrize(

@@ -55,7 +55,7 @@ def detect_command(images: tuple[Path, ...], target: Path, joints: Path | None, 
         raise refuse(f"no image is of use: {escaped(name)} {reason}", files[0])
     write_text(measured, csv_text(table))
     for name, picture in detected.pictures.items():
-        write_whole(into / "detections" / f"{Path(name).stem}.png", picture)
+        write_whole(into / "detections" / f"{name}.png", picture)
     reasons = pd.DataFrame({"image": list(left_out), "reason": list(left_out.values())})
     write_text(into / "detections" / "left_out.csv", csv_text(reasons))
     say(f"{plural(len(table), 'point')} in {table['image'].nunique()} of {plural(len(files), 'image')}")
