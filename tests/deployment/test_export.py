@@ -17,7 +17,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calflow.deployment.export import _between, export
-from calflow.deployment.figures_alone import EffortLevel, FiguresAlone, Levels, beyond_figures
+from calflow.deployment.figures_alone import MEANT, EffortLevel, FiguresAlone, Levels, beyond_figures
 from calflow.files.problems import InputError
 from calflow.model import build
 from calflow.robot.formats.rigid_chain import properties_text, rigid_chain, urdf_text
@@ -232,7 +232,11 @@ def test_what_is_left_out_is_told_with_its_cost():
     assert one.max_mm == pytest.approx(1e3 * np.linalg.norm(off, axis=1).max())
     (said,) = (note for note in found.notes if f"joint-compliance (joint1 … joint{robot.n_joints})" in note)
     assert f"{one.max_mm:.3f} mm at most" in said
-    assert export(identified(robot), "dh", EXACT, conditions=packed).left_out == ()
+    exact = export(identified(robot), "dh", EXACT, conditions=packed)
+    assert exact.left_out == ()
+    assert [note.partition(" misses ")[0] for note in exact.notes] == [  # a line each
+        f"given {MEANT[level.level]}, the robot" for level in EXACT.every
+    ]
     assert [
         _between(parts) for parts in (("joint3",), ("joint3", "joint2"), ("joint1", "joint2", "joint6", "joint2"))
     ] == ["joint3", "joint2 and joint3", "joint1 … joint6"]

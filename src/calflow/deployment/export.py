@@ -213,10 +213,10 @@ def export(
     if beside:
         raise refuse(f"expected no file: '{to}' states the whole robot", key="beside")
     figures: FiguresAlone | CalibratedModel = calibrated
-    notes: tuple[str, ...] = (levels.words,)
+    notes = levels.words
     alone = bool(levels.left_out or calibrated.field)
     if alone:
-        figures, notes = levels.figures, (ANEW, levels.words)
+        figures, notes = levels.figures, (ANEW, *levels.words)
     robot = replace(robot_of(figures), expected=calibrated.model.robot.expected)
     lost = (cost_of_figures(calibrated, robot, conditions),) if alone else ()
     notes += _said(lost)
@@ -261,7 +261,7 @@ def _controller_file(maker: Maker, levels: Levels, nominal: Robot, beside: Mappi
             f"{GIVEN[level]} miss by {levels.by(level)}, the maker's figures by {levels.by('nothing')}: nothing to paste"
         )
     base = () if nominal.base.known else (NO_BASE,)
-    return Export(made.text, (f"{HOLDS[maker]}: {GIVEN[level]}, fitted anew for that", levels.words, *base), ())
+    return Export(made.text, (f"{HOLDS[maker]}: {GIVEN[level]}, fitted anew for that", *levels.words, *base), ())
 
 
 def _anywhere(model: Model) -> np.ndarray:

@@ -159,12 +159,10 @@ class Levels:
         return self.every[0].split == "holdout"
 
     @property
-    def words(self) -> str:
-        """The errors of each level in words."""
+    def words(self) -> tuple[str, ...]:
+        """The errors of each level in words, a line each."""
         where = "at held-out poses" if self.held_out else "at the poses that were fitted"
-        return f"the robot misses {where}, by what is given to it: " + "; ".join(
-            f"{MEANT[row.level]}, {row}" for row in self.every
-        )
+        return tuple(f"given {MEANT[row.level]}, the robot misses {where} by {row}" for row in self.every)
 
     @property
     def harm(self) -> str:
