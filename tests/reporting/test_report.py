@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,8 +19,9 @@ from calflow.estimation.certainty import Certainty
 from calflow.estimation.error_model import ErrorModel
 from calflow.estimation.noise import PerUnit
 from calflow.files.tables import Results, to_frame
-from calflow.files.units import METRE
+from calflow.files.units import METRE, PIXEL
 from calflow.files.words import mm
+from calflow.observations.camera import Camera
 from calflow.reporting import document
 from calflow.reporting.advice import advice
 from calflow.reporting.blocks import Block, Bullets, Divider, Gap, Heading, Paragraph, Plot, RestOfPage, Table
@@ -282,6 +284,15 @@ def test_of_very_many_rows_some_are_drawn_and_the_worst(small: Context, monkeypa
     scene = drawn[1].scene
     assert scene
     assert max(scene.shown) < len(crowd.drawn)
+
+
+def test_errors_of_images_are_named_as_in_the_file(small: Context) -> None:
+    """Fails if a reader of a figure does not learn which of an image's two errors is drawn."""
+    material = report_material(small.study, small.results, small.run_folder)
+    camera = SimpleNamespace(model=SimpleNamespace(observations=(material.calibrated.model.observations[0], Camera)))
+    of_images = SimpleNamespace(unit=PIXEL, values=np.array([[1.0, 2.0], [np.nan, 3.0]]), calibrated=camera)
+    assert list(residuals._components(of_images)) == ["du [px]", "dv [px]"]
+    assert list(residuals._components(material)) == ["dx [mm]", "dy [mm]", "dz [mm]"]
 
 
 def test_certainty_of_the_model_is_that_of_its_predictions(small: Context) -> None:

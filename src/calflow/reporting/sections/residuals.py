@@ -253,7 +253,9 @@ def _components(material: Material) -> dict[str, np.ndarray]:
         parts = {f"d{axis} [mm]": error for axis, error in zip("xyz", material.error.T, strict=True)}
         parts["length [mm]"] = alone
     else:
-        parts = {f"value {k} [{unit.label}]": value for k, value in enumerate(values.T, start=1)}
+        kind = next(of for of in material.calibrated.model.observations if of.units[0] == unit)
+        names = [*(f"d{name}" for name in kind.columns.needed), *(f"value {k + 1}" for k in range(values.shape[1]))]
+        parts = {f"{name} [{unit.label}]": value for name, value in zip(names, values.T, strict=False)}
     return {name: part for name, part in parts.items() if np.isfinite(part).any()}
 
 
