@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import base64
+import fcntl
 import io
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import threading
@@ -189,6 +191,33 @@ def test_a_job_waits_for_one_that_outlived_its_command(plant):
     assert plant.fleet("work", "A-1", "--minutes", 30, "--attempt", 1).code == 0
     assert read_outcome(folder.outcome("A-1")).status == "calibrated"
     assert not held.is_locked
+
+
+def test_a_folder_is_snakemakes_as_long_as_it_works_there(plant):
+    """Fails if a second command works beside the Snakemake of one that was killed, and each deletes the other's files."""
+    plant.out.mkdir()
+    began = """
+import pathlib, sys
+from calflow.fleet.engine import held, running
+
+folder = pathlib.Path(sys.argv[1])
+with held(folder) as lock, running([sys.executable, "-c", "import time; time.sleep(60)"], folder, lock) as process:
+    print(process.pid, flush=True)
+"""
+    with subprocess.Popen([sys.executable, "-c", began, plant.out], stdout=subprocess.PIPE) as command:
+        outlives = int(command.stdout.readline())
+        command.kill()
+    try:
+        answer = plant.fleet("run")
+        assert answer.code == 2
+        assert answer.err.startswith(f"{plant.out}: Snakemake of a killed command is at work")
+        assert not (plant.out / "snakemake.json").exists()
+    finally:
+        os.kill(outlives, signal.SIGKILL)
+    with (plant.out / "snakemake.log").open("rb") as log:
+        fcntl.flock(log, fcntl.LOCK_EX)  # as soon as it is gone
+    with engine.held(plant.out):
+        pass
 
 
 def test_what_is_not_installed_is_told_in_one_line(plant, monkeypatch):

@@ -67,7 +67,7 @@ def fleet_run_command(
 
     Exit code: 0 if every robot is calibrated, 3 if some are not.
     """
-    from calflow.fleet.engine import LOG, check_engine, command, running
+    from calflow.fleet.engine import LOG, check_engine, command, held, running
     from calflow.fleet.fleet_report import write_summary
     from calflow.fleet.standing import arriving, fleet_lines, forget_stale, outcomes, why
     from calflow.runs.lock import locked
@@ -77,7 +77,7 @@ def fleet_run_command(
     loaded, folder = _opened(fleet_file, out, allow)
     cores = cores or os.cpu_count() or 1
     folder.path.mkdir(parents=True, exist_ok=True)
-    with resumable(), locked(folder.path):
+    with resumable(), locked(folder.path), held(folder.path) as lock:
         forget_stale(loaded, folder)
         config = {
             "fleet": str(loaded.path.resolve()),
@@ -86,7 +86,7 @@ def fleet_run_command(
         }
         grouped = ("--groups", "calibrate=robots", "--group-components", f"robots={batch}") if batch else ()
         called = command(workflow_folder() / "fleet.smk", config, folder.path, cores, profile, (*grouped, *options))
-        with running(called, folder.path) as process:
+        with running(called, folder.path, lock) as process:
             for line in arriving(loaded, folder, lambda: process.poll() is not None):
                 say(f"{line.robot}: {line.verdict or why(line)}")
         reached = outcomes(loaded, folder)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import signal
 import subprocess
@@ -94,10 +95,23 @@ def command(
 
 
 @contextmanager
-def running(called: Sequence[str], folder: Path) -> Iterator[subprocess.Popen[bytes]]:
-    """Run Snakemake in a folder, with its output in a log there, and wait for its end on leaving the context."""
+def held(folder: Path) -> Iterator[int]:
+    """Lock a folder's log, and yield the descriptor by which Snakemake keeps it if this process is killed; refuse a second lock."""
+    with inside(folder, LOG).open("ab") as log:
+        try:
+            fcntl.flock(log, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise refuse("Snakemake of a killed command is at work in this folder: wait, or end it", folder) from None
+        except OSError:  # a file system without such locks
+            pass
+        yield log.fileno()
+
+
+@contextmanager
+def running(called: Sequence[str], folder: Path, lock: int) -> Iterator[subprocess.Popen[bytes]]:
+    """Run Snakemake in a folder, with its lock, its output in a log there, and wait for its end on leaving the context."""
     with (folder / LOG).open("wb") as log:
-        process = subprocess.Popen(called, stdout=log, stderr=subprocess.STDOUT)
+        process = subprocess.Popen(called, stdout=log, stderr=subprocess.STDOUT, pass_fds=(lock,))
         try:
             yield process
         finally:
