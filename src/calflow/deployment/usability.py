@@ -14,6 +14,7 @@ from calflow.deployment.run_outcome import RunOutcome
 from calflow.diagnosis.findings import Finding
 from calflow.effects.base import effect_class
 from calflow.estimation.accuracy import Accuracy
+from calflow.estimation.certainty import SURPRISE
 from calflow.estimation.model_tables import FitSummary
 from calflow.files.words import listed, mm, percent, plural
 
@@ -112,6 +113,8 @@ def judgement(outcome: RunOutcome) -> str:
         return f"{USABLE}, but {plural(len(missed), 'pose')} {off} {outcome.accuracy[0].unit}."
     if any(finding.status == "unexplained" for finding in outcome.findings):
         return f"{USABLE}; a part of the error is unexplained."
+    if outcome.certainty.within_chance <= SURPRISE:
+        return f"{USABLE}; at held-out poses more is left than the fit promises."
     if summary.new_poses_mm is not None and summary.times_noise > 1 and not summary.lacks_fit:
         return f"Calibrated with few poses: at new ones expect an RMS error of {summary.at_new_poses}."
     if math.isnan(times):

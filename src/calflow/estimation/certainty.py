@@ -19,6 +19,7 @@ from calflow.model import Model
 MEAN_OF_NOISE = np.sqrt(np.array([0, 2, np.pi / 2, 8]) / np.array([1, np.pi, 1, np.pi]))
 LATER = (3600.0, 86400.0)  # s, after the last row
 PROMISED = 0.95  # probability that an error is below its limit
+SURPRISE = 0.01  # p-value of so few below their limits, from which these are too narrow
 MISSED = 2  # times the 95 % limit, which normal errors exceed once in ten thousand rows at most
 WORST = 50  # poses, those with the largest errors, that are compared with it
 

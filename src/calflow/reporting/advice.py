@@ -27,7 +27,7 @@ from calflow.diagnosis.verdict import CERTAIN
 from calflow.effects.base import NEEDS, Need
 from calflow.effects.geometry import LINK_BOUND, Geometry
 from calflow.effects.wording import UNEXPLAINED, cause_name, place_name, place_names
-from calflow.estimation.certainty import PROMISED, MissedPose
+from calflow.estimation.certainty import PROMISED, SURPRISE, MissedPose
 from calflow.estimation.identifiability import Statement
 from calflow.estimation.model_tables import ModelObservation
 from calflow.estimation.noise import MIN_REPEATS
@@ -69,7 +69,6 @@ ISOLABILITY_TABLE = "select/isolability.csv"
 GAPS_ADVISED = 3  # gaps on the first page
 ENSEMBLES_AGREE = 1.01  # R-hat up to which ensembles agree
 SUGGESTIVE = 0.05  # p-value below which a cause that was not accepted is worth a look
-SURPRISE = 0.01  # p-value below which the share of errors beyond their limits is significant
 REPEATS, REACHING = 10, 4  # poses that determine the noise, and those that fill the end of a joint's range
 MINUTES = 2  # per pose
 REMEDIES = {  # by the kind of what has moved
@@ -210,10 +209,10 @@ def _share_taken(outcome: RunOutcome) -> float:
 
 
 def does_not_carry_over(outcome: RunOutcome) -> Iterator[Advice]:
-    """A model much worse at held-out poses was fitted to too few or too similar poses, unless some were mistaken."""
+    """A model much worse at held-out poses than promised was fitted to too few or too similar ones, unless some were mistaken."""
     train, held = outcome.steps_on("train"), outcome.steps_on("holdout")
     mistaken = any(pose.split == "holdout" for pose in outcome.certainty.missed)  # they make the mean what it is
-    if not train or not held or mistaken:
+    if not train or not held or mistaken or outcome.certainty.within_chance > SURPRISE:
         return
     fitted, unseen, unit = train[-1].figures[0], held[-1].figures[0], held[-1].unit
     if unseen > WORSE * fitted:

@@ -14,11 +14,11 @@ from calflow.deployment.usability import Advice, judgement, labels, least_effort
 from calflow.diagnosis.findings import Finding
 from calflow.effects.wording import UNEXPLAINED, cause_family, place_name
 from calflow.estimation.accuracy import Accuracy
-from calflow.estimation.certainty import PROMISED, Certainty
+from calflow.estimation.certainty import PROMISED, SURPRISE, Certainty
 from calflow.estimation.identifiability import Statement
 from calflow.files.deferred import pd
 from calflow.files.words import chance, effect_words, first_up, listed, mm, number, percent, plural, plural_word
-from calflow.reporting.advice import BY_PRIOR, SURPRISE, WRONG, advice, of_kind, size_is_assumed, spoken
+from calflow.reporting.advice import BY_PRIOR, WRONG, advice, of_kind, size_is_assumed, spoken
 from calflow.reporting.blocks import (
     Block,
     Bullets,
