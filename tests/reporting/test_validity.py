@@ -39,6 +39,22 @@ def test_the_figures_are_those_of_predictions(material: Material) -> None:
     assert f"At {100 * shown.outside.mean():.0f} % of them a joint is beyond its measured range" in shown.words
 
 
+def test_page_one_says_where_its_figure_does_not_hold(material: Material, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fails if page one has a figure of the measured range alone, and a prediction beyond it promises several times that."""
+    shown = Promised.of(material.calibrated, material.data)
+    beyond = np.zeros_like(shown.beyond)
+    beyond[::3, 0] = True
+    for times, joints in ((4.0, "Joint 1 was measured over a part of its travel"), (1.0, "")):
+        error = np.where(beyond.any(axis=1), times, 1.0) * 1e-3 * material.certainty.prediction_sd_mm
+        other = replace(shown, error=error, beyond=beyond)
+        monkeypatch.setattr(Promised, "of", lambda *_, other=other: other)
+        said = dict(how_sure(material))["Where:"]
+        assert (": beyond that expect an RMS error of" in said) == bool(joints)
+        assert joints in said
+        figures = f"{mm(times * material.certainty.prediction_sd_mm)} mm ({mm(material.certainty.prediction_sd_mm)} mm within)"
+        assert (figures in said) == bool(joints)
+
+
 def test_a_region_without_gain_is_told(material: Material) -> None:
     """Fails if a calibration that is nowhere expected to be nearer than the nominal robot is shown as one that helps."""
     shown = Promised.of(material.calibrated, material.data)

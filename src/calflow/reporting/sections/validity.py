@@ -19,7 +19,7 @@ from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.files.deferred import pd
 from calflow.files.problems import InputError
 from calflow.files.toml import FileModel, Lengths3
-from calflow.files.words import mm, percent, plural
+from calflow.files.words import listed, mm, percent, plural, plural_word
 from calflow.measurements.measurements import Measurements
 from calflow.reporting.blocks import Block, Paragraph, Plot
 from calflow.reporting.material import Material
@@ -27,6 +27,7 @@ from calflow.reporting.section import section
 from calflow.reporting.style import crowded, panels, root_mean_square, shade, shades
 
 DRAWN_POSES = 600  # drawn within the joints' limits, or in a region
+MUCH_MORE = 2.0  # times what is promised at measured poses, from which page one says what is promised beyond them
 MEASURED, STATED, WITHIN = "that were measured", "in the study's region", "within the joints' limits"
 CAPTION = (
     "Expected error at {poses} drawn at random within the joints' limits (root mean square): the darker, the larger; from the "
@@ -51,15 +52,15 @@ class _Region(FileModel):
 class Promised:
     """Expected errors (n,) [m] at poses, place (n, 3) [m], and nominal, the distance to the nominal robot (n,) [m].
 
-    gained (n,): mask of poses with a certain gain; outside (n,): mask of poses with a joint beyond its measured range;
-    where: which poses, in words.
+    gained (n,): mask of poses with a certain gain; beyond (n, n_joints): mask of joints beyond their measured range; where: which
+    poses, in words.
     """
 
     place: np.ndarray
     error: np.ndarray
     nominal: np.ndarray
     gained: np.ndarray
-    outside: np.ndarray
+    beyond: np.ndarray
     where: str
 
     @staticmethod
@@ -71,8 +72,7 @@ class Promised:
         readings, conditions = candidates(
             calibrated.model, DRAWN_POSES, first["payload"], first["marker"], region, draws
         )
-        outside = np.asarray(calibrated.beyond_range(readings).any(axis=1))
-        return _promised_at(calibrated, conditions, outside, where)
+        return _promised_at(calibrated, conditions, calibrated.beyond_range(readings), where)
 
     @staticmethod
     def at_work(calibrated: CalibratedModel, data: Measurements, planned: Mapping[str, Any]) -> Promised:
@@ -87,7 +87,21 @@ class Promised:
             region = _Region.model_validate(box)
             with suppress(InputError):  # hardly any pose reaches it
                 return Promised.of(calibrated, data, np.array([region.region_min, region.region_max]), STATED)
-        return _promised_at(calibrated, data.conditions, np.zeros(len(data), dtype=bool), MEASURED)
+        return _promised_at(calibrated, data.conditions, np.zeros(data.joints.shape, dtype=bool), MEASURED)
+
+    @property
+    def outside(self) -> np.ndarray:
+        """Mask of poses (n,) with a joint beyond its measured range."""
+        return np.asarray(self.beyond.any(axis=1))
+
+    def beyond_words(self, within: float) -> str:
+        """Return a sentence on joints measured over a part of their travel; empty unless far more than within [mm] is promised."""
+        if not self.outside.any() or 1e3 * root_mean_square(self.error[self.outside]) < MUCH_MORE * within:
+            return ""
+        joints = (np.flatnonzero(self.beyond.any(axis=0)) + 1).tolist()
+        part = "was measured over a part of its" if len(joints) == 1 else "were measured over a part of their"
+        expected = f"expect an RMS error of {rms_mm(self.error[self.outside])} mm ({mm(within)} mm within)"
+        return f" {plural_word(joints, 'Joint')} {listed(joints, 8)} {part} travel: beyond that {expected}."
 
     @property
     def words(self) -> str:
@@ -113,10 +127,10 @@ def rms_mm(error: np.ndarray) -> str:
     return mm(1e3 * root_mean_square(error))
 
 
-def _promised_at(calibrated: CalibratedModel, conditions: np.ndarray, outside: np.ndarray, where: str) -> Promised:
+def _promised_at(calibrated: CalibratedModel, conditions: np.ndarray, beyond: np.ndarray, where: str) -> Promised:
     place, error = calibrated.expected_point(conditions), calibrated.promised_distance(conditions)
     nominal, gained = calibrated.distance_moved(conditions), calibrated.gain_is_certain(conditions)
-    return Promised(place, error, nominal, gained, outside, where)
+    return Promised(place, error, nominal, gained, beyond, where)
 
 
 def from_the_side(material: Material, place: np.ndarray) -> np.ndarray:

@@ -139,6 +139,8 @@ def next_steps(outcome: RunOutcome, fine: str = FINE) -> list[Advice]:
 
 def how_sure(material: Material) -> list[tuple[str, str]]:
     """Return sentences on the source of the errors, the floor due to noise, and the coverage of the intervals."""
+    from calflow.reporting.sections.validity import Promised, promises  # loads Matplotlib
+
     certainty = material.certainty
     held_out = material.split_judged == "holdout"
     before = f" ({material.untold} more may be before a step, and are not judged)" if material.untold else ""
@@ -158,7 +160,9 @@ def how_sure(material: Material) -> list[tuple[str, str]]:
         no_gain += (
             f" No measurement tells where the tool is along {axes}: its error there may be any that such robots have."
         )
-    where = [("Where:", where_words(certainty) + no_gain.rstrip())] if certainty.reach_m else []
+    spread = Promised.of(material.calibrated, material.data) if promises(material) else None
+    beyond = spread.beyond_words(certainty.prediction_sd_mm) if spread else ""
+    where = [("Where:", where_words(certainty) + beyond + no_gain.rstrip())] if certainty.reach_m else []
     return [*where, *sentences, ("Tested:", tested_words(certainty)), *_size(material), *_when(material)]
 
 
