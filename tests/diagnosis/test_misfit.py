@@ -58,6 +58,15 @@ def test_an_even_misfit_has_no_place():
     assert sum(place is not None for place in places) <= 2
 
 
+def test_a_misfit_is_told_along_what_unexplained_structure_depends_on():
+    """Fails if an error that depends on joint 3 is said to be largest in a range of another input, or has none."""
+    model = fitted(rough(lambda t: (t["q3"] > np.quantile(t["q3"], 0.5)) & (t["q3"] < np.quantile(t["q3"], 0.75))))
+    assert largest_misfit(model, rng(), {"q3"}).input == "q3"
+    for along in ({"q1"}, {"tau1"}):
+        region = largest_misfit(model, rng(), along)
+        assert region is None or region.input in along
+
+
 def test_one_of_several_payloads_or_markers_is_named():
     """Fails if only ranges are looked at."""
     labels = np.where(np.arange(100) % 3 == 1, "full", "none")

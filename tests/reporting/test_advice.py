@@ -485,6 +485,13 @@ def test_a_tool_that_may_be_as_far_off_as_before_is_not_called_calibrated() -> N
     assert judgement(results({**QUIET, **of_images, **promised(57, 0.65, no_gain=1.0)})).startswith("Calibrated")
 
 
+def test_how_many_more_causes_a_condition_would_test_is_said_or_which() -> None:
+    """Fails if one cause is counted in place of its name, or a reader does not learn what is counted."""
+    for more, told in ((1, "A, B and C could"), (2, "A, B and 2 more causes could")):
+        item = ranked._test_too("time", [NEEDS["time"]], ["A", "B", "C", "D"][: 2 + more])
+        assert f": {told} be tested too." in item.sentence
+
+
 def test_of_many_rivals_the_likeliest_are_asked_about() -> None:
     """Fails if eighty rivals are eighty sentences, or those left out are not told of."""
     tables = {

@@ -126,7 +126,8 @@ class DiagnosisSummary(FitSummary):
     causes_tested: int = column("number of places of effects that were tested")
     tests: float = column("equivalent number of independent tests")
     worst: MisfitRegion | None = column(
-        "where the extended model's lack of fit is largest; null: no lack of fit, or about the same everywhere",
+        "where the extended model's lack of fit is largest, along the inputs of unexplained structure if there is any; "
+        "null: no lack of fit, or about the same everywhere",
         default=None,
     )
     capped: bool = column("whether as many causes were found as were allowed, so that there may be more", default=False)
@@ -300,9 +301,10 @@ def search_causes(
         for other in alternatives
         if other.gone and not other.rival and not other.gone.of_measuring()
     }
+    along = {name for structure in left for name in structure.inputs}
     return Diagnosis(
         start, first, extended, final and replace(final, doubted=doubted), ordered, suspected(left, beside), other, wanted,
         acceptance.false_alarm,
-        largest_misfit(extended, rng("misfit")) if extended.lacks_fit else None, capped=len(ordered) >= causes,
+        largest_misfit(extended, rng("misfit"), along) if extended.lacks_fit else None, capped=len(ordered) >= causes,
         alternatives=alternatives, in_reach=in_reach,
     )  # fmt: skip

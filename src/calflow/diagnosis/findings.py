@@ -477,9 +477,9 @@ def _growth(grown: Growth) -> Finding:
 
 def _misfit(lack: LackOfFit, worst: MisfitRegion | None, left: tuple[UnexplainedStructure, ...]) -> Finding:
     why = "an input explains only a part of it" if left else "no cause of the catalogue and no single input explains it"
-    where = worst.words if worst else "about the same everywhere"
+    where = f"; {worst.words}" if worst else "" if left else "; about the same everywhere"
     times = f"{np.sqrt(lack.reduced_chi2):.2f} times the noise (chance of so much: {chance(lack.p)})"
-    statement = f"the model leaves {times}; {why}; {where}"
+    statement = f"the model leaves {times}; {why}{where}"
     return Finding(status="unexplained", p_family=lack.p, detail=worst.where if worst else "", statement=statement)
 
 

@@ -6,7 +6,7 @@ between eighths of the poses, and at each value of labels with few values.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -86,17 +86,19 @@ class _Input:
             yield (self.values >= low) & (self.values <= high)
 
 
-def largest_misfit(fitted: Fitted, rng: np.random.Generator) -> MisfitRegion | None:
+def largest_misfit(fitted: Fitted, rng: np.random.Generator, along: Collection[str] = ()) -> MisfitRegion | None:
     """Return the region with the largest residuals of a fitted model; None where it is not significant.
 
+    It is sought along the inputs on which unexplained structure depends, or where none does along all.
     Mean squared whitened residuals inside and outside a region are compared as variances, by their likelihood ratio; its p-value is
     by permutation of the poses (Fisher 1935), times the number of inputs.
     """
-    studentised, inputs = fitted.studentised, _inputs(fitted)
+    studentised, wanted = fitted.studentised, (*along, *OF_MEASURING)
+    inputs = [candidate for candidate in _inputs(fitted) if not along or candidate.name in wanted]
     squared, number = np.nansum(studentised**2, axis=1), np.isfinite(studentised).sum(axis=1)
     tried = [(*_worst(candidate, squared, number, fitted.poses, rng), candidate) for candidate in inputs]
-    p, _, inside, worst = min(tried, key=lambda one: one[:2])
-    return _region(worst, inside, fitted) if p * len(inputs) <= BY_CHANCE else None
+    p, _, inside, worst = min(tried, key=lambda one: one[:2], default=(np.inf, 0.0, np.zeros(0), None))
+    return _region(worst, inside, fitted) if worst and p * len(inputs) <= BY_CHANCE else None
 
 
 def _worst(

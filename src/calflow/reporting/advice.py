@@ -325,7 +325,8 @@ def untested(outcome: RunOutcome) -> Iterator[Advice]:
 def _test_too(lacking: str, needs: Sequence[Need], names: Sequence[str]) -> Advice:
     """Return advice to provide what causes need for a test: to record it at the robot, or to state it."""
     noted = any(need.recorded for need in needs)
-    sentence = f"{'Note' if noted else 'State'} {listed([need.plain for need in needs])}: {listed(names, 2)} could be tested too."
+    causes = names if len(names) < 4 else [*names[:2], f"{len(names) - 2} more causes"]
+    sentence = f"{'Note' if noted else 'State'} {listed([need.plain for need in needs])}: {listed(causes)} could be tested too."
     return Advice(3, sentence, WITH_MORE, lacking, 0 if noted else None)
 
 
