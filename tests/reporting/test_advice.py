@@ -523,6 +523,11 @@ def test_every_rule_is_tested() -> None:
         (ranked.size_unlike_stated,
          {"identify/parameters.csv": parameter_table(parameter="target.scale", effect="camera", of_size=True,
                                                      estimate=-4e-4, prior_sd=5e-4)}),
+        (ranked.size_unlike_stated,  # a cause that was found explains it
+         {"identify/parameters.csv": parameter_table(parameter="target.scale", effect="camera", of_size=True, estimate=5e-3,
+                                                     sd=5e-4, prior_sd=UNKNOWN_SIZE_SD),
+          "diagnose/parameters.csv": parameter_table(parameter="target.scale", effect="camera", of_size=True, estimate=3e-4,
+                                                     sd=4e-4, prior_sd=UNKNOWN_SIZE_SD)}),
         (ranked.board_as_stated,
          {"identify/in_space.csv": in_space(0.2, 0.3, 0.4),
           "identify/parameters.csv": parameter_table(parameter="target.scale", effect="camera", of_size=True)}),

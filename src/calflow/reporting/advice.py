@@ -496,8 +496,8 @@ def deviation(row: FittedParameter) -> str:
 
 def size_unlike_stated(outcome: RunOutcome) -> Iterator[Advice]:
     """A board or plate whose stated size the robot's lengths contradict was not made, or not measured, as it is said to be."""
-    for row in outcome.identified_parameters:
-        if row.of_size and row.prior_sd >= UNKNOWN_SIZE_SD:
+    for row in outcome.fitted_parameters:  # what was diagnosed since may explain it
+        if row.of_size and row.prior_sd >= UNKNOWN_SIZE_SD and abs(row.estimate) > CERTAIN * row.sd:
             what = "The board is" if row.effect == Camera.id else "The artefact is"
             sentence = (
                 f"{what} {100 * abs(row.estimate):.2g} % {'smaller' if row.estimate < 0 else 'larger'} than stated (± "
