@@ -109,6 +109,16 @@ class Frame:
         return replace(self, origin=steps(self.origin), reach=steps(self.reach), mount=steps(self.mount), turn=turn,
                        body=steps(self.body))  # fmt: skip
 
+    @property
+    def skeleton(self) -> Frame:
+        """The frame with all values zero, and no parameter."""
+
+        def bare(steps: tuple[Step, ...]) -> tuple[Step, ...]:
+            return tuple(Step(step.motion, step.symbol) for step in steps)
+
+        (turn,) = bare((self.turn,))
+        return Frame(turn, bare(self.reach), bare(self.mount), bare(self.body), self.listed, bare(self.origin))
+
     def free(self, place: Place) -> tuple[Step, ...]:
         """Return the steps whose errors are independent parameters at a place in the chain, in table order."""
         return tuple(step for step in self.every if place in step.free)

@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 
 from calflow.robot.frames import SHIFTS, TURNS, Motion, Step, apply, elementary, moving, placement, translation
-from calflow.robot.parts import FourBar
+from calflow.robot.parts import FourBar, Marker, Payload
 from calflow.robot.robot import Robot
 
 Parts = TypeVar("Parts", bound=Any)
@@ -43,7 +43,7 @@ class Dimensions:
     base (6,), tool_rotation (3,): errors in the base's and the tool's own frame (see `frames.placement`); steps: values
     of the frames' steps, joint by joint (see `Robot.step_index`); bars (3,): crank, rod, rocker; markers (3,
     n_markers): in their links' frames; markers_turn (3,): rotation, about the first marker, of those with known
-    relative positions. SI.
+    relative positions; side (1,): see `assembly_side`. SI.
     """
 
     base: ca.SX
@@ -52,6 +52,7 @@ class Dimensions:
     tool_rotation: ca.SX
     markers: ca.SX
     markers_turn: ca.SX
+    side: ca.SX
 
 
 @dataclass(frozen=True)
@@ -83,6 +84,7 @@ def nominal_dimensions(robot: Robot) -> Dimensions:
         tool_rotation=_column([0.0] * 3),
         markers=_points([marker.point for marker in robot.markers.values()]),
         markers_turn=_column([0.0] * 3),
+        side=_column([assembly_side(robot)]),
     )
 
 
@@ -199,7 +201,7 @@ def shown_readings(robot: Robot, readings: np.ndarray) -> np.ndarray:
     return np.asarray(readings[:, robot.driven] * [robot.joints[i].shown[1] for i in robot.driven])
 
 
-Figures = Mapping[str, ca.SX]
+Figures = Mapping[str, ca.SX | float]
 
 
 def figures(robot: Robot, dims: Dimensions, joint: int) -> dict[str, ca.SX]:
@@ -316,11 +318,13 @@ def reachable(robot: Robot, q: np.ndarray) -> np.ndarray:
 
 def _pin(robot: Robot, loop: FourBar) -> np.ndarray:
     """Position (2,) of the nominal pin S in the loop's plane, from P, with the arm's joint at zero."""
-    end = span(robot, nominal_dimensions(robot), loop.joint - 2)
+    arm, driven = robot.frames[loop.joint - 2], robot.frames[loop.joint - 1]
+    link = along(FrameChain(), arm.body, arm.figures)
+    end = along(link, reach_of(robot, loop.joint - 1), driven.figures).frame
     return np.array(ca.DM(ca.evalf(end[:2, 3]))).ravel()
 
 
-def close(side: int, pin: ca.SX, bars: ca.SX, crank_angle: ca.SX) -> Closure:
+def close(side: int | ca.SX, pin: ca.SX, bars: ca.SX, crank_angle: ca.SX) -> Closure:
     """Solve the loop for its bar lengths, S's position (2,) in its plane and the crank's angle (`assembly_side`: side).
 
     With Q = crank e^{i·crank_angle} and D = S - Q, the rocker's direction e^{iφ} follows from |D + rocker e^{iφ}| = rod
@@ -388,9 +392,11 @@ class Posture(Generic[At]):
 
     def down(self: Posture[ca.SX], robot: Robot) -> ca.SX:
         """Return gravity's direction in the base's frame, (3,)."""
-        if not robot.ground:
-            return ca.SX(ca.DM(robot.down))
-        return self.links[robot.ground - 1][:3, :3] @ ca.DM(robot.down)
+        return self.from_floor(robot, ca.SX(ca.DM(robot.down)))
+
+    def from_floor(self: Posture[ca.SX], robot: Robot, direction: ca.SX) -> ca.SX:
+        """Return a direction (3,) of the link that stands on the floor in the base's frame."""
+        return self.links[robot.ground - 1][:3, :3] @ direction if robot.ground else direction
 
     @property
     def flange(self) -> At:
@@ -421,7 +427,8 @@ def pose(robot: Robot, dims: Dimensions, q: ca.SX, deflection: Deflection) -> Po
     A joint's frame is the one just after the rotation about its axis (see `frames.Frame`).
     A loop is closed at the displaced position of its pin S in the loop's plane.
     """
-    outputs = [ca.sparsify(output) for output in _graph(robot)(*vars(dims).values(), q, *vars(deflection).values())]
+    graph = _graph(_skeleton(robot))
+    outputs = [ca.sparsify(output) for output in graph(*vars(dims).values(), q, *vars(deflection).values())]
     n = robot.n_joints
     joints, ends = outputs[:n], outputs[n : 2 * n + 1]
     links, rest = outputs[2 * n + 1 : 3 * n + 1], outputs[3 * n + 1 :]
@@ -459,6 +466,20 @@ class _Symbols:
         return ca.vertcat(self.deflection.joint, ca.vec(self.deflection.bearing), ca.vec(self.deflection.link))
 
 
+@lru_cache(maxsize=64)
+def _skeleton(robot: Robot) -> Robot:
+    """Return the robot without the figures that are inputs of its graphs, so that all with other figures share these."""
+    joints = [replace(joint, frame=joint.frame.skeleton, mass=None, com=(0.0, 0.0, 0.0)) for joint in robot.joints]
+    return Robot(
+        tuple(joints),
+        loop=robot.loop,
+        ground=robot.ground,
+        couplings=robot.couplings,
+        payloads={name: Payload(None, on=payload.on) for name, payload in robot.payloads.items()},
+        markers={name: Marker((0.0, 0.0, 0.0), on=marker.on) for name, marker in robot.markers.items()},
+    )
+
+
 @lru_cache(maxsize=16)
 def _graph(robot: Robot) -> ca.Function:
     """Return the function (dimensions, q, deflection) -> all frames: calling it takes a tenth of building them."""
@@ -492,20 +513,24 @@ def _ways(base: FrameChain, robot: Robot, symbols: _Symbols) -> Posture[FrameCha
 def marker_point(robot: Robot, dims: Dimensions, q: ca.SX, deflection: Deflection, choice: ca.SX) -> ca.SX:
     """Return the chosen marker's position in the measuring frame; choice is one-hot over markers."""
     twists = bool(deflection.bearing.nnz() or deflection.link.nnz())
-    return _marker_graph(robot, twists)(*vars(dims).values(), q, *vars(deflection).values(), choice)
+    graph = _marker_graph(_skeleton(robot), twists)
+    return graph(base_place(robot), *vars(dims).values(), q, *vars(deflection).values(), choice)
 
 
 @lru_cache(maxsize=16)
 def _marker_graph(robot: Robot, twists: bool) -> ca.Function:
-    """Return the function (dimensions, q, deflection, choice) -> marker; twists: whether links and bearings deflect."""
-    symbols, choice = _Symbols.of(robot), ca.SX.sym("marker", len(robot.markers))
+    """Return the function (base's place, dimensions, q, deflection, choice) -> marker.
+
+    twists: whether links and bearings deflect.
+    """
+    symbols, choice, stands = _Symbols.of(robot), ca.SX.sym("marker", len(robot.markers)), ca.SX.sym("stands", 6)
     if not twists:
         still = replace(Deflection.zero(robot.n_joints), joint=symbols.deflection.joint)
         symbols = replace(symbols, deflection=still)
-    at = _ways(FrameChain().then(base_place(robot)).then(symbols.dims.base), robot, symbols)
+    at = _ways(FrameChain().then(stands).then(symbols.dims.base), robot, symbols)
     place = symbols.dims.markers @ choice
     point = _of_marker(robot, choice, lambda link: at.frame(robot, link).carried(place))
-    return ca.Function("marker", [*symbols.inputs, choice], [point])
+    return ca.Function("marker", [stands, *symbols.inputs, choice], [point])
 
 
 def base_place(robot: Robot) -> ca.DM:
@@ -523,7 +548,7 @@ def _chain_angles(
     turn = driven[j - 1] + figures(robot, dims, j - 1)[robot.frames[j - 1].turn.symbol]
     arm = _arm(robot, dims, deflection, j - 1)
     pin = (elementary("rz", turn) @ arm)[:2, 3]
-    closure = close(assembly_side(robot), pin, dims.bars, driven[j])
+    closure = close(dims.side, pin, dims.bars, driven[j])
     # The rod guides the rocker in its plane, so that a slope of the arm at S does not rotate it.
     slope = ca.atan2(arm[1, 0], arm[0, 0])
     angles = ca.SX(driven)
@@ -591,9 +616,10 @@ def state(robot: Robot, dims: Dimensions, loads: Loads, row: Row, deflected: Def
     """
     n = robot.n_joints
     there = (*vars(dims).values(), row.q, *vars(deflected).values())
-    force, down = _of_gravity(robot)(*there, *vars(loads).values(), row.payload)
+    skeleton = _skeleton(robot)
+    force, down = _of_gravity(skeleton)(*there, *vars(loads).values(), row.payload, ca.DM(robot.down))
     if row.wrench.nnz():
-        force += _of_wrench(robot)(*there, row.marker, row.wrench)
+        force += _of_wrench(skeleton)(*there, row.marker, row.wrench)
     force = ca.sparsify(force)
     torque = -row.torque if row.torque.nnz() else force[:n]
     return State(row.q, torque, ca.reshape(force[n : 7 * n], 6, n), ca.reshape(force[7 * n :], 6, n + 1), down)
@@ -601,16 +627,17 @@ def state(robot: Robot, dims: Dimensions, loads: Loads, row: Row, deflected: Def
 
 @lru_cache(maxsize=16)
 def _of_gravity(robot: Robot) -> ca.Function:
-    """Return the function (dimensions, q, deflection, loads, payload) -> gravity's generalised forces and direction.
+    """Return the function (dimensions, q, deflection, loads, payload, down) -> gravity's generalised forces and direction.
 
     Calling it takes a twentieth of the time of differentiating the energy again.
     """
     there, loads, row = _Symbols.of(robot), symbols_like(nominal_loads(robot)), Row.symbols(robot, ())
     at = pose(robot, there.dims, there.q, there.deflection)
     force = ca.gradient(-potential_energy(robot, loads, row, at), there.motion)
-    towards = at.down(robot)
-    down = ca.horzcat(*(at.frame(robot, link)[:3, :3].T @ towards for link in robot.tools))
-    return ca.Function("gravity", [*there.inputs, *vars(loads).values(), row.payload], [force, down])
+    down = ca.SX.sym("down", 3)
+    towards = at.from_floor(robot, down)
+    by_tool = ca.horzcat(*(at.frame(robot, link)[:3, :3].T @ towards for link in robot.tools))
+    return ca.Function("gravity", [*there.inputs, *vars(loads).values(), row.payload, down], [force, by_tool])
 
 
 @lru_cache(maxsize=16)
