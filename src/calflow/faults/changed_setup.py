@@ -10,7 +10,7 @@ from operator import attrgetter, itemgetter
 import numpy as np
 
 from calflow.effects import catalogue
-from calflow.effects.base import Effect, JointError
+from calflow.effects.base import JointError
 from calflow.effects.base_off_level import TILT_BOUND
 from calflow.effects.session_frame import SessionFrame
 from calflow.faults.base import MEASUREMENT_FILE, ROBOT, SET_UP, line_in_words, lines_in_words
@@ -50,14 +50,10 @@ def causes_of_loads(data: Measurements, as_read: FittedSetup) -> list[Mistake]:
     ]
     effects = [effect for kind in of_loads if not kind.lacking(robot, data) for effect in kind.variants(robot, data)]
     return [
-        Mistake(effect.id, 0, partial(_extended, data, effect), f"no mistake, but {effect.in_words().name}", -np.log(len(effects)),
-                where=ROBOT)
+        Mistake(effect.id, 0, partial(Setup.beside, effect=effect), f"no mistake, but {effect.in_words().name}",
+                -np.log(len(effects)), where=ROBOT)
         for effect in effects
     ]  # fmt: skip
-
-
-def _extended(data: Measurements, effect: Effect, setup: Setup) -> Setup:
-    return Setup.of(data, effect)
 
 
 def loads_late(data: Measurements, as_read: FittedSetup) -> Iterator[Mistake]:
@@ -273,7 +269,7 @@ def _separate_frames(
 ) -> Iterator[Mistake]:
     """Yield the mistake that sessions have separate frames, aligned before the fit."""
     names = sessions_of(data)
-    setup = Setup.of(data, SessionFrame(data.robot, names))
+    setup = Setup.of(data).beside(SessionFrame(data.robot, names))
     setup = setup.freed(*(k for k, p in enumerate(setup.model.parameters) if p.effect == SessionFrame.id))
     points, position, far = as_read.predicted(as_read.setup.conditions), setup.position.copy(), 0.0
     of = data.session[setup.numbers]

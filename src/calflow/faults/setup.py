@@ -60,7 +60,7 @@ class AllDimensions(Geometry):
 class Setup:
     """A model with a prior, and some rows: packed conditions (n_conditions, n_rows) and positions (n_rows, 3) [m].
 
-    links: the model without what gives way, which needs no loads, most of the work;
+    links: the model without what gives way, which needs no loads, most of the work; kept (n,): its parameters among the model's;
     mean, sd (n_parameters,): the prior, in SI, with sd 0 for fixed parameters;
     turn (3, 3), origin (3,): the stated base pose, None if unknown; stated: indices of the parameters of stated base and
     marker positions. numbers (n_rows,): indices of the rows; seen (n_poses,): number of markers at each of their poses;
@@ -69,6 +69,7 @@ class Setup:
 
     model: Model
     links: Model
+    kept: np.ndarray
     mean: np.ndarray
     sd: np.ndarray
     stated: tuple[int, ...]
@@ -81,13 +82,20 @@ class Setup:
     magnification: float | np.ndarray = 1.0
 
     @staticmethod
-    def of(data: Measurements, *beside: Effect) -> Setup:
-        """Return the set-up as stated by robot file and table, with some training rows, and with further effects."""
+    def of(data: Measurements) -> Setup:
+        """Return the set-up as stated by robot file and table, with some training rows."""
         base = data.robot.base
         turn = FrameOrigin(rpy=vector(-np.array(base.rotation))).rotation.T if base.known else None
         origin = np.array(base.origin) if base.known else None
-        model = _model(with_markers(data.robot, data.only(data.train)), data.given, beside)
-        return Setup(model, _links(model), *_prior(model, base.known), turn, origin, *_at(data, _training_rows(data)))
+        robot = replace(with_markers(data.robot, data.only(data.train)), base=Base(known=False), expected=())
+        model = _model(robot, data.given)
+        links, kept = _links(model)
+        return Setup(model, links, kept, *_prior(model, base.known), turn, origin, *_at(data, _training_rows(data)))
+
+    def beside(self, effect: Effect) -> Setup:
+        """Return the set-up with a further effect."""
+        effects = (*self.model.effects, replace(effect, robot=self.model.robot))
+        return self._with_model(replace(self.model, effects=effects))
 
     def on(self, data: Measurements) -> Setup:
         """Return the set-up with some training rows of other data of the robot."""
@@ -122,10 +130,13 @@ class Setup:
         return replace(self, sd=sd, stated=tuple(set(self.stated) - set(figures)))
 
     def with_robot(self, robot: Robot) -> Setup:
-        """Return the set-up with another robot of the same joints, payloads and markers."""
-        model = _model(robot, self.model.given)
-        mean, sd, stated = _prior(model, self.turn is not None)
-        return replace(self, model=model, links=_links(model), mean=mean, sd=sd, stated=stated)
+        """Return the set-up with another robot of the same joints, payloads and markers, and an unknown base."""
+        return self._with_model(_model(robot, self.model.given))
+
+    def _with_model(self, model: Model) -> Setup:
+        (links, kept), (mean, sd, stated) = _links(model), _prior(model, self.turn is not None)
+        links = self.links if links == self.links else links  # whose graph is made already
+        return replace(self, model=model, links=links, kept=kept, mean=mean, sd=sd, stated=stated)
 
     @property
     def restated(self) -> Setup:
@@ -168,10 +179,10 @@ class Setup:
     @cached_property
     def rigid(self) -> Setup:
         """The set-up of the links alone in which only base, tool and freed dimensions are fitted."""
-        there = {p.identity for p in self.links.parameters}
-        kept = [k for k, p in enumerate(self.model.parameters) if p.identity in there]
-        sd = self.sd[kept]
-        return replace(self, model=self.links, mean=self.mean[kept], sd=np.where(sd >= STATED_SD, sd, 0.0))
+        sd, every = self.sd[self.kept], np.arange(len(self.kept))
+        return replace(
+            self, model=self.links, kept=every, mean=self.mean[self.kept], sd=np.where(sd >= STATED_SD, sd, 0.0)
+        )
 
     @property
     def without_springs(self) -> Setup:
@@ -181,7 +192,7 @@ class Setup:
 
     def points(self) -> np.ndarray:
         """Return the markers' nominal positions (n_rows, 3) [m] in the base frame; nan if a loop cannot be closed."""
-        return self.links.position(self.rigid.mean, self.conditions)
+        return self.links.position(self.mean[self.kept], self.conditions)
 
     @cached_property
     def fitted(self) -> FittedSetup:
@@ -205,18 +216,17 @@ class Setup:
         return mean
 
 
-def _model(robot: Robot, given: tuple[str, ...], beside: tuple[Effect, ...] = ()) -> Model:
-    """Return the model of a robot with an unknown base, springs, payloads and further effects."""
-    robot = replace(robot, base=Base(known=False), expected=())
+def _model(robot: Robot, given: tuple[str, ...]) -> Model:
+    """Return the model of a robot with springs and payloads."""
     springs = [kind(robot) for kind in catalogue().values() if kind.springs(robot)]
     loads = [PayloadMass(robot)] if robot.has_masses and any(load.mass for load in robot.payloads.values()) else []
-    effects = (AllDimensions(robot), *loads, *springs, *(replace(effect, robot=robot) for effect in beside))
-    return Model(robot, effects, given)
+    return Model(robot, (AllDimensions(robot), *loads, *springs), given)
 
 
-def _links(model: Model) -> Model:
-    """Return a model without the effects that give way, which move nothing at their means."""
-    return replace(model, effects=tuple(effect for effect in model.effects if not effect.gives_way))
+def _links(model: Model) -> tuple[Model, np.ndarray]:
+    """Return a model without the effects that give way, which move nothing at their means, and its parameters in the model."""
+    links = replace(model, effects=tuple(effect for effect in model.effects if not effect.gives_way))
+    return links, np.concatenate([model.columns(effect) for effect in links.effects])
 
 
 def _prior(model: Model, known: bool) -> tuple[np.ndarray, np.ndarray, tuple[int, ...]]:
