@@ -12,6 +12,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 import robots
+from calflow.model import build
+from calflow.robot import mechanism
 from calflow.robot.mechanism import (
     Deflection,
     Row,
@@ -21,6 +23,7 @@ from calflow.robot.mechanism import (
     rated_torques,
     state,
 )
+from calflow.robot.parts import Base, Marker, Payload
 from calflow.robot.robot import Robot
 
 LOOPS = {
@@ -64,6 +67,35 @@ def test_loop_robot_torques_are_the_energy_gradient(name: str, loaded: bool) -> 
     wanted = robots.holding_torque(robot, q, next(iter(robot.payloads)) if loaded else "")
     found = np.array(gravity_torque(robot).map(len(q))(q.T, np.full((1, len(q)), float(loaded)))).T
     assert_allclose(found, wanted, atol=1e-6 * np.abs(wanted).max())
+
+
+@pytest.mark.parametrize("name", LOOPS | SERIAL)
+def test_a_robot_with_other_figures_takes_the_graphs_of_another(name: str) -> None:
+    """Breaks if it takes a figure of the other one too, or if its graphs are built anew."""
+    first = (LOOPS | SERIAL)[name]
+    joints = [
+        replace(joint, frame=joint.frame.restated({"d": 0.1, "theta": 0.2}), mass=50.0, com=(0.1, 0.2, 0.3))
+        for joint in first.joints
+    ]
+    other = replace(
+        first,
+        joints=tuple(joints),
+        gravity=(1.0, 2.0, -9.0),
+        base=Base((0.1, 0.2, 0.3), (0.4, 0.5, 0.6)),
+        payloads={load: Payload(70.0, (0.3, 0.2, 0.1)) for load in first.payloads},
+        markers={marker: Marker((0.2, 0.1, 0.3)) for marker in first.markers},
+    )
+    built = []
+    for robot in (first, other):
+        model, q = build(robot, ("geometry",)), robots.poses(robot, 20)
+        wanted = robots.holding_torque(robot, q, next(iter(robot.payloads)))
+        torque = np.array(gravity_torque(robot).map(len(q))(q.T, np.ones((1, len(q))))).T
+        assert_allclose(torque, wanted, atol=1e-6 * np.abs(wanted).max())
+        place = model.position(model.nominal, robots.rows(model, q))
+        assert_allclose(place, robots.marker_position(robot, q), atol=1e-12)
+        graphs = mechanism._graph, mechanism._marker_graph, mechanism._of_gravity
+        built.append([graph.cache_info().misses for graph in graphs])
+    assert built[0] == built[1]
 
 
 @pytest.mark.parametrize("name", SERIAL)
