@@ -125,6 +125,12 @@ class JointField(JointError, OfJoints):
         waves = ca.vertsplit(self.waves(state.q)) if not self.erring or joint in self.erring else []
         return [Term(f"wave{k + 1}", self.unit(joint), SIZE, 1.0, value) for k, value in enumerate(waves)]
 
+    def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
+        """Return the deflection of each joint by waves that all have in common."""
+        joint, erring = ca.SX(still.joint), list(self.erring or range(self.robot.n_joints))
+        joint[erring] = ca.reshape(p, p.numel() // len(erring), len(erring)).T @ self.waves(state.q)
+        return replace(still, joint=joint)
+
 
 @dataclass(frozen=True)
 class OfTorque(JointError, SmoothFunction):
