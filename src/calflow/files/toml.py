@@ -296,6 +296,8 @@ def _in_si(kind: type[FileModel | Record], raw: Any) -> Any:
 
 def _within_what_robots_have(kind: type[FileModel | Record], value: Any, info: ValidationInfo) -> Any:
     """Refuse magnitudes that no robot has, whose squares might overflow."""
+    if not any(_numbers(value)):
+        return value  # as most fields
     name = info.field_name or ""
     stated = dimensions(kind).get(name)
     unit = "" if stated else split_unit(name)[1]  # of a field that keeps the unit of its key
