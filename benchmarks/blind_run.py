@@ -22,7 +22,7 @@ import numpy as np
 import pandas as pd
 
 from calflow.files.writing import write_whole
-from calflow.fleet.engine import LOG, check_engine, command, running
+from calflow.fleet.engine import LOG, check_engine, command, held, running
 from calflow.runs.lock import locked
 
 if TYPE_CHECKING:
@@ -89,7 +89,7 @@ def _done(asked: argparse.Namespace, folder: Path) -> list[Row]:
     }
     called = command(Path(__file__).with_name("blind.smk"), told, folder, asked.processes, asked.profile)
     files = [folder / f"job_{k}.json" for k in range(-(-asked.number // asked.batch))]
-    with locked(folder), running(called, folder) as process:
+    with locked(folder), held(folder) as lock, running(called, folder, lock) as process:
         if process.wait():
             missing = sum(not file.exists() for file in files)
             sys.exit(
