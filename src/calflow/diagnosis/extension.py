@@ -181,9 +181,7 @@ def largest_first(findings: Sequence[Detection[Cause]], fit: Fit) -> list[Detect
     """
 
     def explained(finding: Detection[Cause]) -> float:
-        columns = [k for k in fit.model.columns(finding.cause) if not fit.at_bound[k]]
-        value = fit.estimate[columns]
-        return float(value @ np.linalg.solve(fit.covariance[np.ix_(columns, columns)], value))
+        return fit.from_zero(fit.model.columns(finding.cause), fit.covariance)
 
     return sorted(findings, key=explained, reverse=True)
 

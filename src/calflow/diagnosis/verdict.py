@@ -133,9 +133,10 @@ def no_surer_than_its_size(finding: Detection[Cause], fitted: Fitted) -> Detecti
     Their deviations include all smooth errors of the model, of which the search knows a part: what may be zero beside these is
     not certain.
     """
-    columns = [k for k in fitted.model.columns(finding.cause) if not fitted.fit.at_bound[k]]
-    value = fitted.fit.estimate[columns]
-    distance = float(value @ np.linalg.solve(fitted.covariance[np.ix_(columns, columns)], value)) if columns else np.inf
+    columns = fitted.model.columns(finding.cause)
+    if fitted.fit.at_bound[columns].all():
+        return finding
+    distance = fitted.fit.from_zero(columns, fitted.covariance)
     return replace(finding, unnamed=min(finding.unnamed, distance / TEMPERED))
 
 

@@ -105,6 +105,11 @@ class Fit:
         """Effective number of parameters that the data determine: the sum over parameters of 1 - prior share."""
         return float(np.vdot(self.covariance, self.information - np.diag(self.model.prior_sd**-2.0)))
 
+    def from_zero(self, columns: np.ndarray, covariance: np.ndarray) -> float:
+        """Return the squared distance from zero (Wald 1943) of those of some parameters that are off bounds; covariance: of all."""
+        free = columns[~self.at_bound[columns]]
+        return float(self.estimate[free] @ np.linalg.solve(covariance[np.ix_(free, free)], self.estimate[free]))
+
     def _inverse(self, free: np.ndarray) -> np.ndarray:
         """Inverse of the free parameters' information, zero elsewhere; scaled by the priors to stay well-conditioned."""
         sd = self.model.prior_sd[free]
