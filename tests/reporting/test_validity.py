@@ -12,7 +12,8 @@ from calflow.files.tables import Results, to_document, to_frame
 from calflow.files.words import mm, number
 from calflow.reporting.blocks import Plot
 from calflow.reporting.material import Material
-from calflow.reporting.sections.validity import Promised, validity_section
+from calflow.reporting.promised import Promised
+from calflow.reporting.sections.validity import validity_section
 from calflow.reporting.sections.verdict import how_sure
 from calflow.reporting.style import style
 from calflow.stages.report import report_material
@@ -47,8 +48,9 @@ def test_page_one_says_where_its_figure_does_not_hold(material: Material, monkey
     for times, joints in ((4.0, "Joint 1 was measured over a part of its travel"), (1.0, "")):
         error = np.where(beyond.any(axis=1), times, 1.0) * 1e-3 * material.certainty.prediction_sd_mm
         other = replace(shown, error=error, beyond=beyond)
-        monkeypatch.setattr(Promised, "of", lambda *_, other=other: other)
-        said = dict(how_sure(material))["Where:"]
+        with monkeypatch.context() as patched:
+            patched.setattr(Promised, "of", lambda *_, other=other: other)
+            said = dict(how_sure(replace(material)))["Where:"]
         assert (": beyond that expect an RMS error of" in said) == bool(joints)
         assert joints in said
         figures = f"{mm(times * material.certainty.prediction_sd_mm)} mm ({mm(material.certainty.prediction_sd_mm)} mm within)"
@@ -80,6 +82,22 @@ def test_an_axis_that_nothing_measured_is_not_told_of_measured_positions(materia
 def test_a_figure_of_zero_has_no_sign() -> None:
     """Fails if what rounds to zero is shown as if it were a little more, or less."""
     assert [number(value, "+.2f") for value in (0.001, -0.001, 0.012, -0.012)] == ["0.00", "0.00", "+0.01", "−0.01"]
+
+
+def test_poses_are_drawn_once_in_a_report(material: Material, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fails if page one and the map each predict at random poses of their own: they could contradict each other."""
+    drawn, of = [], Promised.of
+
+    def counted(*given: object) -> Promised:
+        drawn.append(given)
+        return of(*given)
+
+    monkeypatch.setattr(Promised, "of", counted)
+    anew = replace(material)
+    how_sure(anew)
+    with style():
+        validity_section.write(anew)
+    assert len(drawn) == 1
 
 
 def test_it_is_drawn_with_what_was_measured(material: Material) -> None:

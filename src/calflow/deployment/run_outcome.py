@@ -106,9 +106,14 @@ class RunOutcome:
     chain_summary = _summary("How the sampling ended.", "sample/summary.json", ChainSummary)
 
     @property
+    def is_of_lengths(self) -> bool:
+        """Whether errors are expected in millimetres: some lengths were measured."""
+        return self.summary.new_poses_mm is not None
+
+    @property
     def no_gain(self) -> float:
         """Share of the measured rows without a certain gain; 0 where no lengths were measured, as base and tool are then taught."""
-        return 0.0 if self.fit_summary.new_poses_mm is None else self.certainty.no_gain
+        return self.certainty.no_gain if self.is_of_lengths else 0.0
 
     def path_of(self, name: str) -> str:
         """Return a path unchanged, and for a name the best model's path: in diagnose where it extended the model."""

@@ -23,6 +23,7 @@ from calflow.files.deferred import pd
 from calflow.files.units import MeasurementUnit
 from calflow.measurements.measurements import Measurements
 from calflow.observations.base import observation_kinds
+from calflow.reporting.promised import Promised
 from calflow.robot.robot import Robot
 from calflow.study import StudyFile
 
@@ -166,6 +167,11 @@ class Material(RunOutcome):
         if here.any():
             place[here] = self.data.position[here]
         return place
+
+    @cached_property
+    def promised(self) -> Promised:
+        """The expected errors within the joints' limits; only where some lengths were measured."""
+        return Promised.of(self.calibrated, self.data)
 
     @property
     def is_of_positions(self) -> bool:

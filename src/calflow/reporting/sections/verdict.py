@@ -125,7 +125,7 @@ def _cards(material: Material) -> list[Card]:
         _, expected = over_ranges(rows)
         largest = f"largest {mm(expected.max_mm)} mm, over the joints' ranges"
         cards.append(Card("mean error of the tool, expected", mm(expected.mean_mm), largest))
-    elif material.summary.new_poses_mm is not None and not material.is_of_positions:
+    elif material.is_of_lengths and not material.is_of_positions:
         sd = material.certainty.prediction_sd_mm
         cards.append(Card("RMS error of the tool, expected", mm(sd), "the errors at left are of what was measured"))
     return cards
@@ -139,8 +139,6 @@ def next_steps(outcome: RunOutcome, fine: str = FINE) -> list[Advice]:
 
 def how_sure(material: Material) -> list[tuple[str, str]]:
     """Return sentences on the source of the errors, the floor due to noise, and the coverage of the intervals."""
-    from calflow.reporting.sections.validity import Promised, promises  # loads Matplotlib
-
     certainty = material.certainty
     held_out = material.split_judged == "holdout"
     before = f" ({material.untold} more may be before a step, and are not judged)" if material.untold else ""
@@ -160,8 +158,7 @@ def how_sure(material: Material) -> list[tuple[str, str]]:
         no_gain += (
             f" No measurement tells where the tool is along {axes}: its error there may be any that such robots have."
         )
-    spread = Promised.of(material.calibrated, material.data) if promises(material) else None
-    beyond = spread.beyond_words(certainty.prediction_sd_mm) if spread else ""
+    beyond = material.promised.beyond_words(certainty.prediction_sd_mm) if material.is_of_lengths else ""
     where = [("Where:", where_words(certainty) + beyond + no_gain.rstrip())] if certainty.reach_m else []
     return [*where, *sentences, ("Tested:", tested_words(certainty)), *_size(material), *_when(material)]
 
@@ -178,7 +175,7 @@ def _size(material: Material) -> list[tuple[str, str]]:
 def _when(material: Material) -> list[tuple[str, str]]:
     """Return a sentence on the errors a day later, if the calibration does not promise to hold so long."""
     moments = material.certainty.expected_mm
-    if material.summary.new_poses_mm is None or not moments or moments[-1] < LASTING * moments[0]:
+    if not material.is_of_lengths or not moments or moments[-1] < LASTING * moments[0]:
         return []
     grows = f"from {mm(moments[0])} to {mm(moments[-1])} mm a day later"
     return [("When:", f"the promised error grows {grows}, as device or robot may change: check some poses before use.")]
