@@ -4,8 +4,8 @@ A form is one of four kinds: what a joint's reading leaves out (of the rows alon
 as long otherwise than stated, and what the device adds. Its size multiplies all of it; its other figures are drawn once.
 
 What a form may be called is its own cause and what acts by the same motion of the same place under the same input; joints are
-counted from the hidden one's, none means any. A tracker's scale (alike to all lengths) and noise that grows with range (no shift)
-have no other form here.
+counted from the hidden one's, none means any. Without another form here are a tracker's scale (alike to all lengths), noise that
+grows with range (no shift), gravity other than plumb, a loop's rod, an arm that moves, and what cameras alone see (cameras.py).
 """
 
 from __future__ import annotations
@@ -232,6 +232,40 @@ def coupled_by_bevels(h: Hidden, arm: Arm, rows: Rows) -> Array:
     """A wrist's joint that follows the one before by a bevel gear off its axis."""
     before, rng = rows.q[:, h.i - 1], h.rng
     return _at_joint(h, arm, h.size * (before + rng.uniform(0.1, 0.25) * np.sin(before - rng.uniform(0, 6.28))))
+
+
+def creeping_zero(h: Hidden, arm: Arm, rows: Rows) -> Array:
+    """A zero that slips in a while rather than at once."""
+    begun, ended = np.quantile(rows.time, np.sort(h.rng.uniform(0.2, 0.8, 2)))
+    return _at_joint(h, arm, h.size * np.clip((rows.time - begun) / (ended - begun + 1.0), 0, 1))
+
+
+def slipping_twice(h: Hidden, arm: Arm, rows: Rows) -> Array:
+    """A zero that slips twice, back by a part the second time."""
+    rng = h.rng
+    first, second = (rows.time > np.quantile(rows.time, rng.uniform(*when)) for when in ((0.2, 0.4), (0.6, 0.8)))
+    return _at_joint(h, arm, h.size * (first - rng.uniform(0.3, 0.7) * second))
+
+
+def lagging_zero(h: Hidden, arm: Arm, rows: Rows) -> Array:
+    """A zero that follows the air's temperature, later than it."""
+    return _at_joint(h, arm, h.size * _behind(h, rows))
+
+
+def zero_of_two_parts(h: Hidden, arm: Arm, rows: Rows) -> Array:
+    """A zero between two parts that warm up, one fast and one slowly, the other way."""
+    fast, slow = h.rng.uniform(300, 900), h.rng.uniform(4000, 9000)
+    return _at_joint(h, arm, h.size * (np.exp(-rows.time / fast) - 1.5 * np.exp(-rows.time / slow)))
+
+
+def _behind(h: Hidden, rows: Rows) -> Array:
+    """How warm (1: by 5 K) what follows the air by a time constant of 10 to 40 minutes is beyond the air's first temperature."""
+    constant = h.rng.uniform(600, 2400)
+    warm, passed = np.zeros(len(rows)), np.diff(rows.time)
+    for k, step in enumerate(passed, 1):
+        share = -np.expm1(-step / constant)
+        warm[k] = warm[k - 1] + share * (rows.temperature[k] - rows.temperature[0] - warm[k - 1])
+    return warm / 5
 
 
 # --- What gives way ----------------------------------------------------------------------------------
@@ -547,6 +581,64 @@ def wavy_rail(h: Hidden, arm: Arm, rows: Rows, now: State) -> Yielding:
     return _turning(h, arm, rows, "bearing", h.i, 0 * wave, h.size * wave)
 
 
+def lobed_races(h: Hidden, arm: Arm, rows: Rows, now: State) -> Yielding:
+    """A bearing whose races have lobes: its axis tilts by several orders of the angle, in their own directions."""
+    rng, angle = h.rng, _angle(h, arm, rows)
+    tilt = sum(
+        share * np.cos(order * angle[:, None] - rng.uniform(0, 6.28, 2)) * rng.uniform(0.3, 1, 2)
+        for order, share in ((1, 1.0), (2, 0.5), (3, 0.3))
+    )
+    return _turning(h, arm, rows, "bearing", h.i, np.column_stack([h.size * tilt, 0 * angle]))
+
+
+def bent_shaft(h: Hidden, arm: Arm, rows: Rows, now: State) -> Yielding:
+    """A shaft that binds in its housing: its axis tilts to one side of it, over less than half a turn."""
+    rng, angle = h.rng, _angle(h, arm, rows)
+    away = rng.uniform(0, 6.28)
+    pressed = np.exp(2 * (np.cos(angle - rng.uniform(0, 6.28)) - 1))
+    turned = away - angle  # as the housing's side lies in the frame that turns
+    tilt = pressed[:, None] * np.column_stack([np.cos(turned), np.sin(turned), 0 * angle])
+    return _turning(h, arm, rows, "bearing", h.i, h.size * tilt)
+
+
+def hardening_belt(h: Hidden, arm: Arm, rows: Rows, now: State) -> Yielding:
+    """A slide's belt that hardens, of the length that carries."""
+    load = now.force(h.i) / (0.5 * np.abs(now.force(h.i)).max())
+    return _joint(h, arm, rows, h.size * _angle(h, arm, rows) * load / np.sqrt(1 + load**2))
+
+
+def screw_held_twice(h: Hidden, arm: Arm, rows: Rows, now: State) -> Yielding:
+    """A slide's screw that is held at both ends, one better than the other."""
+    low, high = arm.limits[h.i]
+    place = (rows.q[:, h.i] - low) / (high - low)
+    load = now.force(h.i) / np.abs(now.force(h.i)).max()
+    return _joint(h, arm, rows, h.size * load * place * (1 - h.rng.uniform(0.3, 0.6) * place))
+
+
+def tool_creeping_on(h: Hidden, arm: Arm, rows: Rows, now: State) -> Yielding:
+    """A tool that is bumped, and creeps on the same way."""
+    rng = h.rng
+    moment = np.quantile(rows.time, rng.uniform(0.25, 0.75))
+    gone = (rows.time > moment) * (1 - 0.3 * np.exp(-np.maximum(rows.time - moment, 0) / 400))
+    return _tool_moved(h, arm, rows, gone, rng)
+
+
+def tool_bumped_twice(h: Hidden, arm: Arm, rows: Rows, now: State) -> Yielding:
+    """A tool that is bumped twice, another way each time."""
+    rng = h.rng
+    when = (rng.uniform(0.2, 0.4), rng.uniform(0.6, 0.8))
+    moved = (
+        _tool_moved(h, arm, rows, (rows.time > np.quantile(rows.time, share)).astype(float), rng) for share in when
+    )
+    return sum(moved, Yielding.none(len(rows), arm.n))
+
+
+def _tool_moved(h: Hidden, arm: Arm, rows: Rows, gone: Array, rng: np.random.Generator) -> Yielding:
+    """The tool shifted, and turned as far as that at half a metre, along a course (rows,)."""
+    twist = rng.normal(size=6) * np.repeat([1.0, 2.0], 3)
+    return replace(Yielding.none(len(rows), arm.n), tool=h.size * gone[:, None] * twist)
+
+
 # --- What weighs, or is as long, otherwise -----------------------------------------------------------
 
 
@@ -611,6 +703,31 @@ def _grown(h: Hidden, arm: Arm, by: Array) -> Arm:
     return replace(arm, a=arm.a * (1 + h.size * by), d=arm.d * (1 + h.size * by))
 
 
+def lost_on_the_way(h: Hidden, arm: Arm, rows: Rows) -> Arm:
+    """Loads that become lighter at a moment, on one side, so that their centre shifts."""
+    rng = h.rng
+    lost = (rows.time > np.quantile(rows.time, rng.uniform(0.25, 0.75))) * h.size * arm.payload_mass[rows.payload]
+    return _lightened(arm, rows, lost, rng)
+
+
+def emptying(h: Hidden, arm: Arm, rows: Rows) -> Arm:
+    """Loads that are emptied in two steps."""
+    rng = h.rng
+    when = (rng.uniform(0.2, 0.4), rng.uniform(0.6, 0.8))
+    steps = sum(
+        (rows.time > np.quantile(rows.time, share)) * part for share, part in zip(when, (0.6, 0.4), strict=True)
+    )
+    return _lightened(arm, rows, steps * h.size * arm.payload_mass[rows.payload], rng)
+
+
+def _lightened(arm: Arm, rows: Rows, lost: Array, rng: np.random.Generator) -> Arm:
+    mass, com = arm.payload_mass[rows.payload], arm.payload_com[rows.payload]
+    at = com + 0.03 * rng.normal(size=3)
+    left = mass - lost
+    com = (mass[:, None] * com - lost[:, None] * at) / np.maximum(left, 1e-9)[:, None]
+    return replace(arm, payload_mass=left, payload_com=com)
+
+
 # --- The device --------------------------------------------------------------------------------------
 
 
@@ -671,6 +788,30 @@ def other_air(h: Hidden, rows: Rows, place: Array) -> Array:
     return place
 
 
+def lagging_stand(h: Hidden, rows: Rows, place: Array) -> Array:
+    """A stand that follows the air's temperature, later than it."""
+    return _moved(h, place, _behind(h, rows), h.rng)
+
+
+def stand_of_two_legs(h: Hidden, rows: Rows, place: Array) -> Array:
+    """A stand whose legs warm up by times of their own, and lean another way each."""
+    rng = h.rng
+    for constant in (rng.uniform(400, 1200), rng.uniform(3000, 8000)):
+        place = _moved(h, place, 1 - np.exp(-rows.time / constant), rng)
+    return place
+
+
+def bent_scale(h: Hidden, rows: Rows, place: Array) -> Array:
+    """A scale that grows with the temperature and with its square."""
+    warm = (rows.temperature - rows.temperature[0]) / 5
+    return place * (1 + h.size * (0.5 * warm + 0.5 * warm**2))[:, None]
+
+
+def lagging_scale(h: Hidden, rows: Rows, place: Array) -> Array:
+    """A floor that follows the air's temperature, later than it: all that stands on it spreads."""
+    return place * (1 + h.size * _behind(h, rows))[:, None]
+
+
 # --- The table ---------------------------------------------------------------------------------------
 
 ANGULAR = {"joint-eccentricity": (0,), "periodic-joint-error": (0,), "gear-transmission-error": (0,), "joint-error-map": (0,),
@@ -685,6 +826,11 @@ GRAVITY_ARMS = ("large-6", "cobot-6", "arm-7")
 def driven(arm: Arm) -> tuple[int, ...]:
     """Joints whose errors the poses show: not the last, about which the marker is near."""
     return tuple(i + 1 for i in range(arm.n - 1) if not arm.slide[i])
+
+
+def beyond_first(arm: Arm) -> tuple[int, ...]:
+    """Of these, joints beyond the first."""
+    return driven(arm)[1:]
 
 
 def loaded(arm: Arm) -> tuple[int, ...]:
@@ -800,6 +946,35 @@ def _forms() -> tuple[Form, ...]:
     both("frame-drift", "device", (random_walk, warming_device), nowhere, DEVICE, needs=("time",))
     both("frame-step", "device", (settling_stand, two_bumps), nowhere, DEVICE, needs=("time",))
     both("session-frame", "device", (anew_and_settling, other_air), nowhere, DEVICE, needs=("time", "session"), names=2)
+    both(
+        "stand-growth",
+        "device",
+        (lagging_stand, stand_of_two_legs),
+        nowhere,
+        DEVICE,
+        needs=("time", "temperature"),
+        names=2,
+    )
+    both("scale-growth", "device", (bent_scale, lagging_scale), nowhere, DEVICE, needs=("time", "temperature"), names=2)
+    # Joint 1's zero is the device's frame turned; a zero that goes by degrees is one that grows, and the other way round.
+    zeros = {"joint-step": (0,), "housing-growth": (0,)}
+    both("joint-step", "reading", (creeping_zero, slipping_twice), beyond_first, zeros, needs=("time",), names=2)
+    both(
+        "housing-growth",
+        "reading",
+        (lagging_zero, zero_of_two_parts),
+        beyond_first,
+        zeros,
+        needs=("time", "temperature"),
+    )
+    both("tool-slip", "yielding", (tool_creeping_on, tool_bumped_twice), nowhere, {}, needs=("time",), names=3)
+    both("payload-step", "load", (lost_on_the_way, emptying), nowhere, weights, arms=GRAVITY_ARMS, needs=("time",), names=2,
+         small=1e-3)  # fmt: skip
+    both("axis-wobble", "yielding", (lobed_races, bent_shaft), driven, {}, names=2)
+    # A belt that hardens is a slide's stiffness that is not linear, too.
+    hardening = {"nonlinear-joint-stiffness": (0,)}
+    both("drive-stretch", "yielding", (hardening_belt,), lambda arm: (3,), hardening, arms=("scara",), names=2)
+    both("drive-stretch", "yielding", (screw_held_twice,), lambda arm: (3,), {}, arms=("scara",))
     return tuple(found)
 
 
