@@ -20,7 +20,7 @@ FLOORS = (  # an import points to a floor further up this list, or stays within 
     ("faults", "diagnosis", "sampling", "population"),
     ("design", "linear"),
     ("deployment",),
-    ("programs", "importing"),
+    ("programs", "importing", "stage_settings"),
     ("study", "templates"),
     ("simulation", "run_folder"),
     ("reporting",),

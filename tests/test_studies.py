@@ -155,7 +155,7 @@ def test_hh800_poses_reach_more_than_random_ones(hh800):
     from calflow.design.candidates import candidates
     from calflow.design.optimality import indices
     from calflow.model import build
-    from calflow.stages.settings import SelectSettings
+    from calflow.stage_settings import SelectSettings
     from calflow.study import load_study
 
     study = load_study(STUDIES / "hh800")

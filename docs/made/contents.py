@@ -24,8 +24,8 @@ from calflow.design.next_poses import MeasuringVerdict, NextMeasurement
 from calflow.files.deviations import Deviation
 from calflow.files.tables import Column, columns
 from calflow.files.toml import FileModel, Record
+from calflow.stage_settings import SelectSettings, TaskSettings, WorkSettings
 from calflow.stages.catalogue import STAGES
-from calflow.stages.settings import SelectSettings, TaskSettings, WorkSettings
 from calflow.study import Acceptance
 
 KINDS = {str: "text", int: "integer", float: "number", bool: "true or false"}

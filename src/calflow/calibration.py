@@ -49,6 +49,7 @@ from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.replication import confirm as confirmed
 from calflow.effects import Effect, effect_ids, effects_by_id, effects_given
 from calflow.effects.base import unmet, unusable
+from calflow.effects.stated import known_effects
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.certainty import Certainty
@@ -94,7 +95,7 @@ from calflow.run_folder import INPUTS, CalibratedFolder, check_free, load_again,
 from calflow.sampling.chain import ChainLength
 from calflow.sampling.posterior import Posterior
 from calflow.sampling.sample import STANDARD, sample
-from calflow.study import Study, StudyFile, WorkflowFile, known_effects
+from calflow.study import SeriesSource, Study, StudyFile, WorkflowFile
 
 if TYPE_CHECKING:
     from calflow.reporting.material import Material
@@ -608,7 +609,7 @@ def identify(
     named = effect_ids(given)
     request = StudyFile(
         name=IN_PYTHON, title=title, robot="robot.toml", workflow="workflow.toml", seed=seed, effects=named, stages=settings,
-        measurements=MeasurementSource(file=ROWS_FILE, kind=data.series[0].kind),
+        measurements=SeriesSource(file=ROWS_FILE, kind=data.series[0].kind),
     )  # fmt: skip
     rows, faults = examined(data.on(robot), paths)
     for fault in faults:

@@ -5,22 +5,25 @@ from __future__ import annotations
 import datetime
 import os
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, Discriminator, Field, Tag, field_validator, model_validator
+from pydantic import AfterValidator, Discriminator, Field, Tag, ValidationInfo, field_validator, model_validator
 
+from calflow.effects import effect_class
 from calflow.effects.base import unmet
+from calflow.effects.stated import Effects
 from calflow.estimation.parameters import contradictions, mistaken
 from calflow.faults.implausible import plausible
 from calflow.files.problems import (
     InputError,
     NoSuchFile,
     Problem,
+    limited_problems,
     nearest,
     nearest_file,
     refuse,
@@ -54,10 +57,12 @@ from calflow.observations import Observation, observation_kinds, observations
 from calflow.robot.formats import robot_file
 from calflow.robot.parts import Expected
 from calflow.robot.robot import Robot
+from calflow.stage_settings import SETTINGS
 
 # Keys of a table [parameters.NAME], before their unit, with the attribute of `Expected` that each states.
 FIGURES = {"value": "value", "lower": "lower", "upper": "upper", "prior_mean": "mean", "prior_sd": "sd"}
 MODELS, FIELD = ("identify", "diagnose"), "residual_field"  # stages
+USUAL_KIND = "pose"  # of observation, where a study states none
 FEWEST_POSES = 3  # fewer do not even determine the robot's base
 
 
@@ -72,26 +77,7 @@ def check_name(name: str) -> str:
     return name
 
 
-def known_effects(effects: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the ids of effects if they are valid.
-
-    Raises:
-        ValueError: one of them is unknown or given twice, or there are none.
-    """
-    from calflow.effects import effects_given
-
-    try:
-        effects_given(effects)
-    except InputError as error:
-        raise ValueError("; ".join(problem.message for problem in error.problems)) from None
-    if not effects or len(set(effects)) < len(effects):
-        raise ValueError("expected at least one effect, and each once")
-    return effects
-
-
 FolderName = Annotated[str, AfterValidator(check_name)]
-Effects = Annotated[tuple[str, ...], AfterValidator(known_effects)]
-AnyEffects = Annotated[tuple[str, ...], AfterValidator(lambda effects: effects and known_effects(effects))]  # or none
 
 
 class Acceptance(FileModel):
@@ -134,10 +120,27 @@ def _how_many(value: object) -> str:
     return SEVERAL if isinstance(value, list | tuple) else NONE if value is None else ONE
 
 
+class SeriesSource(MeasurementSource):
+    """A table `[measurements]` of a kind of observation that there is, with settings that this kind has."""
+
+    @field_validator("kind")
+    @classmethod
+    def _there_is(cls, kind: str) -> str:
+        if kind not in {"", *observation_kinds()}:
+            there = f"there are {', '.join(observation_kinds())}{nearest(kind, observation_kinds())}"
+            raise ValueError(f"unknown kind '{kind}'; {there}")
+        return kind
+
+    @field_validator("settings")
+    @classmethod
+    def _of_its_kind(cls, settings: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
+        if "kind" in info.data:  # else it is a mistake itself
+            observation_kinds()[info.data["kind"] or USUAL_KIND].settings.model_validate(settings)
+        return settings
+
+
 OneOrSeveral = Annotated[
-    Annotated[MeasurementSource, Tag(ONE)]
-    | Annotated[tuple[MeasurementSource, ...], Tag(SEVERAL)]
-    | Annotated[None, Tag(NONE)],
+    Annotated[SeriesSource, Tag(ONE)] | Annotated[tuple[SeriesSource, ...], Tag(SEVERAL)] | Annotated[None, Tag(NONE)],
     Discriminator(_how_many),
 ]
 
@@ -163,7 +166,7 @@ class StudyFile(FileModel):
     stages: dict[str, dict[str, Any]] = {}
 
     @property
-    def sources(self) -> tuple[MeasurementSource, ...]:
+    def sources(self) -> tuple[SeriesSource, ...]:
         """The series of measurements, in order; empty if nothing was measured yet."""
         if self.measurements is None:
             return ()
@@ -178,8 +181,6 @@ class StudyFile(FileModel):
     @field_validator("effects")
     @classmethod
     def _none_to_be_found(cls, effects: tuple[str, ...]) -> tuple[str, ...]:
-        from calflow.effects import effect_class
-
         for effect in effects:
             kind = effect_class(effect)
             if kind and (why := kind.unstatable()):
@@ -319,19 +320,74 @@ def check_columns(effects: tuple[str, ...], data: Measurements, path: Path) -> N
 
 
 @dataclass(frozen=True)
-class Study:
+class Request:
+    """What a study's file and its workflow's ask for."""
+
+    path: Path
+    file: StudyFile
+    workflow: WorkflowFile
+    workflow_path: Path
+
+    def settings(self, stage: str) -> dict[str, Any]:
+        """Return a stage's settings: the workflow's, overridden by the study's, also where these have other units."""
+        settings = self.file.stages.get(stage, {})
+        given = {split_unit(key)[0] for key in settings}
+        base = self.workflow.settings.get(stage, {})
+        return {key: value for key, value in base.items() if split_unit(key)[0] not in given} | settings
+
+    def setting_problem(self, stage: str, message: str, setting: str, *further: str) -> Problem:
+        """Return a problem located at a stage's setting in the study or workflow file."""
+        if setting in {split_unit(key)[0] for key in self.file.stages.get(stage, {})}:
+            return Origin.of(self.path, "stages", stage).problem(message, setting, *further)
+        return Origin.of(self.workflow_path, "settings", stage).problem(message, setting, *further)
+
+    def validated_settings(self, stage: str, kind: type[FileModel]) -> FileModel:
+        """Return a stage's settings, validated; problems are located in the file that states the setting."""
+        there = Origin.of(self.workflow_path, "settings", stage)
+        stated = self.file.stages.get(stage, {})
+        here = Origin.of(self.path, "stages", stage) if stated else there
+        settings = self.settings(stage)
+        elsewhere = {name: there for key in settings if key not in stated for name in (key, split_unit(key)[0])}
+        return validate_table(settings, kind, here, elsewhere)
+
+    def check_stages(self) -> None:
+        """Check that the stages exist, and that their settings are valid.
+
+        Raises:
+            InputError: with all that do not exist, or else with all errors in their settings.
+        """
+        workflow, study = Origin.of(self.workflow_path), Origin.of(self.path)
+        unknown = [
+            workflow.problem(f"unknown stage '{name}'{nearest(name, SETTINGS)}", "stages")
+            for name in self.workflow.stages
+            if name not in SETTINGS
+        ]
+        for origin, key, tables in (
+            (workflow, "settings", self.workflow.settings),
+            (study, "stages", self.file.stages),
+        ):
+            unknown += _unknown_stages(tables, origin, key)
+        refuse_any(unknown)
+        set_ = dict.fromkeys((*self.workflow.stages, *self.workflow.settings, *self.file.stages))
+        run_checks(*(partial(self.validated_settings, name, SETTINGS[name]) for name in set_))
+
+
+def _unknown_stages(tables: Iterable[str], origin: Origin, key: str) -> list[Problem]:
+    """Return problems of the tables of a file that belong to no stage."""
+    unknown = [name for name in tables if name not in SETTINGS]
+    return limited_problems(unknown, lambda name: origin.problem(f"unknown stage{nearest(name, SETTINGS)}", key, name))
+
+
+@dataclass(frozen=True)
+class Study(Request):
     """A study with its robot and workflow, ready to run.
 
     further are files of additional rows of the first series, measured later; data is the folder searched for
     measurements before the study's own folder, or None.
     """
 
-    path: Path
-    file: StudyFile
     robot: Robot
     robot_path: Path
-    workflow: WorkflowFile
-    workflow_path: Path
     further: tuple[Path, ...] = ()
     data: Path | None = field(default_factory=data_folder)
 
@@ -476,40 +532,15 @@ class Study:
         """Return a series' kind of observation, and the series that the study describes.
 
         Raises:
-            InputError: its kind is unknown, or its settings are invalid.
+            InputError: its kind has settings that must be stated.
         """
         source = self.file.sources[k]
-        if source.kind not in {"", *observation_kinds()}:
-            message = f"unknown kind '{source.kind}'; there are {', '.join(observation_kinds())}"
-            raise InputError([self.source_problem(k, message + nearest(source.kind, observation_kinds()), "kind")])
-        kind = observation_kinds()[source.kind or "pose"]
+        kind = observation_kinds()[source.kind or USUAL_KIND]
         settings = validate_table(
             source.settings, kind.settings, replace(Origin.of(self.path), table=(*self._source(k), "settings"))
         )
         given = {name: value for name, value in settings.model_dump().items() if value is not None}
         return kind, source.series(kind.columns, given)
-
-    def settings(self, stage: str) -> dict[str, Any]:
-        """Return a stage's settings: the workflow's, overridden by the study's, also where these have other units."""
-        settings = self.file.stages.get(stage, {})
-        given = {split_unit(key)[0] for key in settings}
-        base = self.workflow.settings.get(stage, {})
-        return {key: value for key, value in base.items() if split_unit(key)[0] not in given} | settings
-
-    def setting_problem(self, stage: str, message: str, setting: str, *further: str) -> Problem:
-        """Return a problem located at a stage's setting in the study or workflow file."""
-        if setting in {split_unit(key)[0] for key in self.file.stages.get(stage, {})}:
-            return Origin.of(self.path, "stages", stage).problem(message, setting, *further)
-        return Origin.of(self.workflow_path, "settings", stage).problem(message, setting, *further)
-
-    def validated_settings(self, stage: str, kind: type[FileModel]) -> FileModel:
-        """Return a stage's settings, validated; problems are located in the file that states the setting."""
-        there = Origin.of(self.workflow_path, "settings", stage)
-        stated = self.file.stages.get(stage, {})
-        here = Origin.of(self.path, "stages", stage) if stated else there
-        settings = self.settings(stage)
-        elsewhere = {name: there for key in settings if key not in stated for name in (key, split_unit(key)[0])}
-        return validate_table(settings, kind, here, elsewhere)
 
 
 def check_confirm(file: StudyFile, path: Path) -> None:
@@ -576,36 +607,40 @@ def load_study(path: str | Path) -> Study:
         )
     except InputError as error:
         raise InputError((*error.problems, *(_not_located(sound, path.parent) if sound else ()))) from None
-    study = Study(path, file, *named)
+    (robot, robot_path), (workflow, workflow_path) = named
+    study = Study(path, file, workflow, workflow_path, robot, robot_path)
     if file.parameters and not file.sources:
         check_stated_parameters(study, build(study.robot, file.effects))
     return study
 
 
-def _named_files(file: StudyFile, path: Path) -> tuple[Robot, Path, WorkflowFile, Path]:
+def _named_files(file: StudyFile, path: Path) -> tuple[tuple[Robot, Path], tuple[WorkflowFile, Path]]:
     """Return a study's robot and workflow, each with its file.
 
     Raises:
-        InputError: with all problems of these files, of the confirming study and of what is stated on parameters.
+        InputError: with all problems of these files, of the stages' settings, of the confirming study and of what is stated on
+            parameters.
     """
     robot_path = path.parent / file.robot
 
-    def checked_robot() -> Robot:
+    def checked_robot() -> tuple[Robot, Path]:
         robot = Robot.from_toml(robot_path)
         check_effects(file.effects, robot, robot_path)
-        return file.on(robot)
+        return file.on(robot), robot_path
 
     def found_workflow() -> tuple[WorkflowFile, Path]:
         workflow_path = find_workflow(file.workflow, path)
-        return read_toml(workflow_path, WorkflowFile), workflow_path
+        workflow = read_toml(workflow_path, WorkflowFile)
+        Request(path, file, workflow, workflow_path).check_stages()
+        return workflow, workflow_path
 
-    robot, (workflow, workflow_path), *_ = run_checks(
+    robot, workflow, *_ = run_checks(
         checked_robot,
         found_workflow,
         lambda: check_confirm(file, path),
         lambda: check_parameters(file, Origin.of(path)),
     )
-    return robot, robot_path, workflow, workflow_path
+    return robot, workflow
 
 
 def _not_located(file: StudyFile, folder: Path) -> tuple[Problem, ...]:

@@ -156,6 +156,39 @@ def test_a_mistake_is_told_once_with_its_place(small, file, old, new, expected):
     assert told.startswith(f"{file}:{expected}")
 
 
+def test_mistakes_of_stages_and_kinds_are_told_with_all_others(small):
+    """Fails if a mistake in a stage's settings, or in what was measured, waits until all others of the study are mended."""
+    small.edit(
+        "study.toml",
+        ("joint-compliance", "joint-complance"),
+        ("[split]", 'kind = "posse"\nsepparator = ";"\n[split]'),
+        ("holdout = 0.3", "holdout = 1"),
+        ("poses = 8", "posse = 8"),
+    )
+    small.edit("quick.toml", ("starts = 1", "starts = 0"))
+    small.edit("robot.toml", ("mass_kg", "mas_kg"))
+    told = small.refused("check")
+    for expected in (
+        "study.toml:5: effects: unknown effect 'joint-complance', did you mean 'joint-compliance'?",
+        "study.toml:10: measurements.kind: unknown kind 'posse'; there are ",
+        "study.toml:11: measurements.sepparator: unknown key, did you mean 'separator'?",
+        "study.toml:13: split.holdout: expected a number less than 1, found 1",
+        "study.toml:16: stages.select.posse: unknown key, did you mean 'poses'?",
+        "quick.toml:8: settings.identify.starts: expected a number greater than or equal to 1, found 0",
+        "mas_kg: unknown key, did you mean 'mass_kg'?",
+    ):
+        assert any(expected in message for message in told), (expected, told)
+
+
+def test_settings_of_a_kind_are_told_with_all_others(small):
+    """Fails if settings that a kind does not have are read as those of another, or wait until the rest is mended."""
+    small.edit("study.toml", ("[split]\nholdout = 0.3", "[measurements.settings]\nlens_mm = 3\n[split]\nholdout = 1"))
+    told = small.refused("check")
+    assert told[0].startswith("study.toml:11: measurements.settings.lens_mm: unknown key")
+    assert told[1].startswith("study.toml:13: split.holdout: expected a number less than 1")
+    assert len(told) == 2
+
+
 def test_a_copy_without_its_workflows_is_told_as_such(small, monkeypatch, tmp_path):
     """Fails if an incomplete copy of calflow is told as a mistake of the study, with an empty list of workflows."""
     small.edit("study.toml", ("quick.toml", "calibrate"))

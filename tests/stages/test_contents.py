@@ -13,8 +13,8 @@ from calflow.files.data_package import table_schema
 from calflow.files.tables import columns, from_frame, to_frame
 from calflow.measurements.source import sha256
 from calflow.run_folder import read_manifest
+from calflow.stage_settings import SETTINGS
 from calflow.stages.catalogue import STAGES
-from calflow.stages.settings import SETTINGS
 from made.contents import renewed
 
 FILES = Path(__file__).parents[2] / "docs" / "files.md"

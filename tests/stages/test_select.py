@@ -11,8 +11,8 @@ import pytest
 from calflow.files.units import RADIAN
 from calflow.measurements.measurements import Measurements
 from calflow.robot.robot import Robot
+from calflow.stage_settings import SelectSettings
 from calflow.stages.select import planned_of
-from calflow.stages.settings import SelectSettings
 from calflow.study import load_study
 
 JOINTS = ["q1_deg", "q2_deg", "q3_deg"]

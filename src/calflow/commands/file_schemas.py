@@ -22,7 +22,7 @@ from calflow.observations import observation_kinds
 from calflow.robot.formats.frames_file import FramesFile
 from calflow.robot.formats.robot_file import RobotFile, UrdfRobotFile
 from calflow.simulation import Truth
-from calflow.stages.settings import SETTINGS
+from calflow.stage_settings import SETTINGS
 from calflow.study import FIGURES, StudyFile, WorkflowFile
 
 Draft = Literal["4", "2020-12"]

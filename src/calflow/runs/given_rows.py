@@ -26,7 +26,7 @@ from calflow.observations import observation_kinds
 from calflow.robot.formats.frames_file import read_frames
 from calflow.robot.mechanism import reading_columns
 from calflow.run_folder import is_measured
-from calflow.study import Study
+from calflow.study import SeriesSource, Study
 
 DISPENSABLE = ("split", "session", "repeat")  # mapped columns of the study's file that a new file may lack
 
@@ -227,5 +227,5 @@ def with_rows(study: Study, files: Sequence[Path]) -> Study:
     """Return a study with additional files of measured rows, which become its measurements if it has none."""
     if study.file.sources or not files:
         return replace(study, further=tuple(files))
-    file = study.file.model_copy(update={"measurements": MeasurementSource(file=str(files[0].resolve()))})
+    file = study.file.model_copy(update={"measurements": SeriesSource(file=str(files[0].resolve()))})
     return replace(study, file=file, further=tuple(files[1:]))

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
-from calflow.files.problems import Problem, limited_problems, nearest, refuse, refuse_any, run_checks
+from calflow.files.problems import nearest, refuse, refuse_any
 from calflow.files.toml import Origin
 from calflow.measurements.source import sha256
 from calflow.run_folder import Manifest, StageEntry, beside, damage, is_measured, read_manifest
@@ -94,32 +93,17 @@ def stages_of(study: Study, ran: Collection[str] = ()) -> list[Stage]:
     """Return the stages of a study, in order, with the residual field if requested; ran are stages that have results.
 
     Raises:
-        InputError: workflow or study name a stage that does not exist, lack a needed stage, or have wrong settings.
+        InputError: the workflow lacks a stage that another one needs, or has it later.
     """
-    bases, names = based(study, ran), study.stages
-    workflow, study_origin = Origin.of(study.workflow_path), Origin.of(study.path)
-    unknown = [name for name in names if name not in bases]
-    problems = [workflow.problem(f"unknown stage '{name}'{nearest(name, bases)}", "stages") for name in unknown]
-    for origin, key, tables in (
-        (workflow, "settings", study.workflow.settings),
-        (study_origin, "stages", study.file.stages),
-    ):
-        problems += _unknown_stages(tables, bases, origin, key)
-    for i, name in enumerate(names if not unknown else ()):
+    bases, names, workflow = based(study, ran), study.stages, Origin.of(study.workflow_path)
+    problems = []
+    for i, name in enumerate(names):
         stage = bases[name]
         wrong = [f"comes before '{need}', which it needs" for need in (*stage.needs, *stage.uses) if need in names[i:]]
         wrong += [f"needs '{need}', which is not there" for need in stage.needs if need not in names]
         problems += [workflow.problem(f"stage '{name}' {what}", "stages") for what in wrong]
     refuse_any(problems)
-    set_ = dict.fromkeys((*names, *study.workflow.settings, *study.file.stages))
-    run_checks(*(partial(study.validated_settings, name, bases[name].settings) for name in set_))
     return [bases[name] for name in names]
-
-
-def _unknown_stages(tables: Iterable[str], stages: Mapping[str, Stage], origin: Origin, key: str) -> list[Problem]:
-    """Return problems of the tables of a file that belong to no stage."""
-    unknown = [name for name in tables if name not in stages]
-    return limited_problems(unknown, lambda name: origin.problem(f"unknown stage{nearest(name, stages)}", key, name))
 
 
 def based(study: Study, ran: Collection[str] = ()) -> dict[str, Stage]:

@@ -8,8 +8,8 @@ from calflow.calibration import Calibration
 from calflow.deployment.run_outcome import TABLES
 from calflow.estimation.residual_field import SUMMARY, FieldSummary
 from calflow.files.tables import Results
+from calflow.stage_settings import NoStageSettings
 from calflow.stages import diagnose, identify, report, sample, select
-from calflow.stages.settings import NoStageSettings
 from calflow.stages.stage import Context, Stage
 
 

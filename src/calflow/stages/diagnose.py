@@ -13,8 +13,8 @@ from calflow.files.tables import Results
 from calflow.measurements.measurements import Measurements
 from calflow.model import stated
 from calflow.observations import observations
+from calflow.stage_settings import DiagnoseSettings
 from calflow.stages.demand import Demand
-from calflow.stages.settings import DiagnoseSettings
 from calflow.stages.stage import Context, Stage
 from calflow.study import Study
 

@@ -14,8 +14,8 @@ from calflow.files.tables import Results
 from calflow.measurements.measurements import Measurements
 from calflow.model import build, stated
 from calflow.observations import observations
+from calflow.stage_settings import IdentifySettings
 from calflow.stages.demand import Demand
-from calflow.stages.settings import IdentifySettings
 from calflow.stages.stage import Context, Stage
 from calflow.study import Study
 

@@ -30,8 +30,8 @@ from calflow.files.toml import Confidence, Count, checked_arguments
 from calflow.measurements.measurements import Measurements
 from calflow.model import stated
 from calflow.observations import observations
+from calflow.stage_settings import DiagnoseSettings, IdentifySettings, SelectSettings
 from calflow.stages.select import measured_rows, named_problems, planned_selection, request_of, select_problems
-from calflow.stages.settings import DiagnoseSettings, IdentifySettings, SelectSettings
 from calflow.study import Study
 
 WHERE_MEASURED = (

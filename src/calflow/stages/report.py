@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from calflow.files.tables import Results
 from calflow.run_folder import read_manifest
-from calflow.stages.settings import NoStageSettings
+from calflow.stage_settings import NoStageSettings
 from calflow.stages.stage import Context, Stage
 from calflow.study import Study
 

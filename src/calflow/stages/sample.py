@@ -32,8 +32,8 @@ from calflow.sampling.task_points import (
     task_table,
     taught,
 )
+from calflow.stage_settings import SampleSettings, WorkSettings
 from calflow.stages.demand import BYTES, Demand
-from calflow.stages.settings import SampleSettings, WorkSettings
 from calflow.stages.stage import Context, Stage
 from calflow.study import Study
 

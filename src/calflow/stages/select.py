@@ -35,7 +35,7 @@ from calflow.model import Model, build
 from calflow.observations import Observation
 from calflow.observations.position import Position
 from calflow.robot.parts import Base
-from calflow.stages.settings import SelectSettings
+from calflow.stage_settings import SelectSettings
 from calflow.stages.stage import Context, Stage
 from calflow.study import Study
 

@@ -11,13 +11,13 @@ from pydantic.json_schema import SkipJsonSchema
 from calflow.design.cell import Cell
 from calflow.design.planned import USUAL_DRIFT, Aim, Order, RecordedCondition
 from calflow.diagnosis import FALSE_ALARM
+from calflow.effects.stated import AnyEffects
 from calflow.estimation.least_squares import Loss
 from calflow.estimation.noise import NoiseSource
 from calflow.files.problems import unknown_name
 from calflow.files.toml import Angle, Count, FalseAlarm, FileModel, Length, Lengths3, Sigma
 from calflow.robot.robot import Robot
 from calflow.sampling.chain import ChainLength
-from calflow.study import AnyEffects
 
 
 class RegionSettings(FileModel):
