@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from calflow import InputError, load_study
+from calflow.files.problems import nearest
 from calflow.files.toml import Angle, FileModel, Length, Lengths3, line_numbers, read_toml
 
 
@@ -187,6 +188,13 @@ def test_settings_of_a_kind_are_told_with_all_others(small):
     assert told[0].startswith("study.toml:11: measurements.settings.lens_mm: unknown key")
     assert told[1].startswith("study.toml:13: split.holdout: expected a number less than 1")
     assert len(told) == 2
+
+
+def test_a_name_in_short_is_not_taken_for_another():
+    """Fails if a temperature in degrees Celsius is said to be meant in kelvin, whose key has as many letters."""
+    names = ("temperature_K", "temperature_degC", "time_s")
+    assert nearest("temperature_C", names) == ", did you mean 'temperature_degC'?"
+    assert nearest("temperatur_K", names) == ", did you mean 'temperature_K'?"
 
 
 def test_a_copy_without_its_workflows_is_told_as_such(small, monkeypatch, tmp_path):

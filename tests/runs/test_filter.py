@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pandas as pd
 import pytest
 
 from applied import filter_program
+from calflow.commands.apply import summary_lines
 from calflow.estimation.needed_conditions import NeededCondition, check_stated
 from calflow.files.problems import InputError
 from calflow.files.tables import columns
@@ -90,6 +92,14 @@ def test_the_tool_lands_where_the_nominal_robot_has_it(cell):
     empty = cell.calflow(*asked, "--payload", "")
     assert "FANUC shows joint 3 against the horizontal" in empty.err
     assert (cell / "empty.ls").read_bytes() != source
+
+
+def test_targets_that_gain_nothing_for_certain_say_so(cell):
+    """Fails if a program is rewritten by a model that may be off by more than the targets move, and nothing says so."""
+    done = filter_program(cell / "runs", cell / "points.ls", payload="heavy")
+    doubtful = replace(done, rows=tuple(replace(row, promised_mm=2 * row.moved_mm) for row in done.rows))
+    for filtered, told in ((done, False), (doubtful, True)):
+        assert any("no gain is certain" in line for line in summary_lines(cell / "points.ls", filtered)) == told
 
 
 UNTAUGHT = """P[3]{

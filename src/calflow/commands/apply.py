@@ -42,6 +42,7 @@ WITHOUT_CONDITIONS = click.option(
     "--without-conditions", is_flag=True, help="Keep rows that lack needed columns, with a wider standard deviation."
 )
 NOTES_PRINTED = 20  # most notes of one kind that are printed
+NO_GAIN = "no gain is certain: the model itself may be off by more than these {} correct"
 
 
 @cli.command("predict")
@@ -111,14 +112,14 @@ def _say_reached(landed: pd.DataFrame, targets: int) -> None:
     """Print how many targets are reached, and how far off the robot would land without and with the commands."""
     say(f"{len(landed)} of {plural(targets, 'target')} reached")
     if len(landed):
-        before, now = _rms(landed["nominal_miss_mm"]), _rms(landed["expected_mm"])
+        before, now = (_rms(landed[name].tolist()) for name in ("nominal_miss_mm", "expected_mm"))
         say(f"RMS distance from the target: {before:.3f} mm with nominal commands, {now:.3f} mm expected with these")
         if now >= before:
-            say("no gain is certain: the model itself may be off by more than these commands correct")
+            say(NO_GAIN.format("commands"))
 
 
-def _rms(values: pd.Series) -> float:
-    return float((values**2).mean() ** 0.5)
+def _rms(values: Sequence[float]) -> float:
+    return math.sqrt(sum(value**2 for value in values) / len(values))
 
 
 @cli.command("export", cls=ArgumentCommand)
@@ -254,8 +255,9 @@ def _distances(rows: Sequence[FilteredTarget], moved: Sequence[FilteredTarget]) 
             f"no joint by more than {max(row.largest_deg for row in moved):.3f} degrees"
         )
     if promised := [row.promised_mm for row in rows if not math.isnan(row.promised_mm)]:
-        rms = math.sqrt(sum(promise**2 for promise in promised) / len(promised))
-        yield f"expected error where they land: {rms:.3f} mm, root mean square; at most {max(promised):.3f}"
+        yield f"expected error where they land: {_rms(promised):.3f} mm, root mean square; at most {max(promised):.3f}"
+    if moved and _rms([row.promised_mm for row in moved]) >= _rms([row.moved_mm for row in moved]):
+        yield NO_GAIN.format("targets")
     if following := [row for row in rows if row.outcome == "follows"]:
         worst = max(following, key=lambda row: row.remaining_mm)
         yield (

@@ -117,12 +117,22 @@ def escaped(text: str) -> str:
 
 
 def nearest(word: str, names: Iterable[str]) -> str:
-    """Return `, did you mean 'x'?` with the name most similar to a misspelt word, or an empty string."""
+    """Return `, did you mean 'x'?` with the name most similar to a misspelt word, or an empty string.
+
+    A word that is a name's without some of its letters means that: `temperature_C` is no temperature_K.
+    """
     if len(word) > LONGEST_WORD:  # no name is so long, and the comparison would be slow
         return ""
     spelled = {name.lower(): name for name in islice(names, MOST_COMPARED)}
-    close = difflib.get_close_matches(word.lower(), spelled, n=1, cutoff=0.5)
-    return f", did you mean '{spelled[close[0]]}'?" if close else ""
+    close = difflib.get_close_matches(word.lower(), spelled, cutoff=0.5)
+    likeliest = [name for name in close if _is_shortened(word.lower(), name)] or close
+    return f", did you mean '{spelled[likeliest[0]]}'?" if likeliest else ""
+
+
+def _is_shortened(word: str, name: str) -> bool:
+    """Whether all letters of a word stand in a name, in their order."""
+    left = iter(name)
+    return all(letter in left for letter in word)
 
 
 def nearest_file(path: Path) -> str:

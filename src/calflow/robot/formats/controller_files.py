@@ -110,7 +110,7 @@ def pasted(maker: Maker, texts: Mapping[Path, str], nominal: Robot, calibrated: 
     after |= {name: f"{value:.6f}" for name, value in (placed | tools).items() if name in values}
     after = {name: number for name, number in after.items() if float(number) != values[name]}
     lines = ["[deg, mm]: see that each does before the robot moves"]
-    lines += [f"joint {k} reads {more:+.4f} more where it stands" for k, more in added.items()]
+    lines += [f"joint {k} reads {more:+z.4f} more where it stands" for k, more in added.items()]
     text = "\n".join([*(f"{kept.comment} {line}" for line in lines), *_replaced(statements, after, kept.comment), ""])
     return Pasted(text, any(name in values for name in tools))
 
