@@ -15,7 +15,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from effects import test_link_bending
+from effects import test_link_bending, test_link_torsion, test_rod_play
 from hidden import test_base, test_frames, test_hidden, test_joint_causes, test_steps, test_tool
 from hidden.case import Case
 from hidden.test_hidden import Findings, case, found
@@ -46,6 +46,12 @@ def stated() -> Iterator[Stated]:
         yield Stated(f"{name} foot", one, 31, ((one.hidden[0].cause, 0),))
     for name, one in test_link_bending.BENT.items():
         yield Stated(f"bending, {name}", one, 33, (("link-bending", one.hidden[0].joint),))
+    for name, one in test_link_torsion.TWISTED.items():
+        yield Stated(f"twisting, {name}", one, 33, (("link-torsion", one.hidden[0].joint),))
+    for name, one in test_rod_play.WORN.items():
+        yield Stated(f"worn {name}", one, 32, ((one.hidden[0].cause, 3),))
+    for joint, one in test_base.BEARINGS.items():
+        yield Stated(f"worn bearing {joint}", one, 31, (("bearing-play", joint),))
     yield Stated("table 2 of the paper", test_hidden.TABLE_2, 18, tuple(("joint-compliance", k) for k in (2, 3, 4, 5)))
     for name, (one, _) in test_frames.EVERY.items():
         yield Stated(name, one, 21, ((name.split()[0], 0),))

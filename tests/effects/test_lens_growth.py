@@ -1,4 +1,7 @@
-"""Growth of a lens: hidden in photographs by a camera that warms up, whose images grow about a centre that moves."""
+"""Growth of a lens: hidden in photographs by a camera that warms up, whose images grow about a centre that moves.
+
+Two cameras of which one warms up are in benchmarks/slow.
+"""
 
 from __future__ import annotations
 
@@ -50,16 +53,6 @@ def assert_grown(found: pd.DataFrame, of: str) -> None:
     assert lens["status"] == "named"
     assert lens["estimate"] == pytest.approx(np.hypot(FOCAL, np.linalg.norm(CENTRE)), abs=4 * lens["sd"])
     assert lens["sd"] < 3e-4
-
-
-def test_the_lens_of_one_of_two_cameras_that_warms_up_is_found(tmp_path):
-    """Fails if growth is missed where another camera is steady, or is of that one."""
-    assert_grown(findings(tmp_path, warming(7, FOCAL, CENTRE, cameras=2)), ", camera camera2)")
-
-
-def test_no_lens_of_two_steady_cameras_grows(tmp_path):
-    """Fails if a worn arm's errors are taken for the growth of one of two cameras, each of which has figures of its own."""
-    assert findings(tmp_path, warming(8, 0.0, 0 * CENTRE, cameras=2)).empty
 
 
 def test_a_lens_that_does_not_change_has_no_growth(tmp_path):

@@ -103,7 +103,7 @@ def test_an_oblique_link_that_is_round_bends_as_a_straight_one() -> None:
     assert_allclose(points(oblique, entries), twists, rtol=0, atol=1e-12)
 
 
-BENT = {  # a size and a robot of each sort are found here, all of them by benchmarks/hidden_cases.py
+BENT = {  # one of each sort is found here, all of them by benchmarks/hidden_cases.py
     "little, to the elbow": case("hh800", Hidden("link-bending", 4, 5e-8)),
     "much, to the elbow": case("hh800", Hidden("link-bending", 4, 1.5e-7)),
     "little, to the wrist": case("hh800", Hidden("link-bending", 3, 5e-8, "to the wrist")),
@@ -115,13 +115,13 @@ BENT = {  # a size and a robot of each sort are found here, all of them by bench
 }
 
 
-@pytest.mark.parametrize("name", ["little, to the wrist", "much, to the elbow"])
-def test_a_link_that_bends_as_far_as_the_wrist_is_one_cause(name, tmp_path):
+def test_a_link_that_bends_as_far_as_the_wrist_is_one_cause(tmp_path):
     """Fails if a forearm that ends at the wrist is a bearing that tilts, in part another's, or one that ends at the elbow."""
-    seen = found(tmp_path, replace(BENT[name], settings=ALIKE), 33)
+    bent = BENT["little, to the wrist"]
+    seen = found(tmp_path, replace(bent, settings=ALIKE), 33)
     assert len(seen.causes) == 1, seen.causes
     assert seen.causes.iloc[0]["cannot_tell_from"] == "", seen.causes
-    assert seen.has("link-bending", BENT[name].hidden[0].joint)
+    assert seen.has("link-bending", bent.hidden[0].joint)
     assert seen.unexplained.empty, seen.unexplained
 
 
@@ -131,12 +131,5 @@ def test_a_link_that_bends_under_its_own_weight_is_one_cause(tmp_path):
         "link-bending", "link-mass", "payload-mass", "gravity-compensator", "joint-eccentricity", "gear-ratio-error"
     )
     seen = found(tmp_path, replace(BENT["own weight, loop"], settings=weights), 34)
-    assert list(seen.causes["cause"]) == ["link-bending"], seen.causes
-    assert seen.causes.iloc[0]["cannot_tell_from"] == "", seen.causes
-
-
-def test_a_link_that_tapers_is_one_cause(tmp_path):
-    """Fails if half a millimetre of bending leaves a second name, of a link or bearing beyond, where the link is softer there."""
-    seen = found(tmp_path, replace(BENT["tapering"], settings=ALIKE), 42)
     assert list(seen.causes["cause"]) == ["link-bending"], seen.causes
     assert seen.causes.iloc[0]["cannot_tell_from"] == "", seen.causes

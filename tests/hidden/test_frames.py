@@ -46,14 +46,13 @@ EVERY: dict[str, tuple[Case, str]] = {
 
 
 TOLD_APART = (  # of a device and of a robot; benchmarks/hidden_cases.py has all, by the whole catalogue
-    "session-frame of one move", "frame-drift that wanders", "housing-growth", "thermal-growth of a rod",
-    "scale-growth of a wrong weather station",
+    "housing-growth", "scale-growth of a wrong weather station",
 )  # fmt: skip
 
 
 @pytest.mark.parametrize("name", TOLD_APART)
 def test_every_cause_of_frames_is_found(name, tmp_path):
-    """Fails if a session's frame or a wandering device is missed, taken for something else, or found in pieces."""
+    """Fails if what grows with the warmth, of a device or of a robot, is missed, taken for something else, or found in pieces."""
     hidden, detail = EVERY[name]
     seen = found(tmp_path, replace(hidden, settings=IN_TIME), 21)
     assert len(seen.causes) == 1, seen.causes

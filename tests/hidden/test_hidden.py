@@ -100,9 +100,13 @@ def test_a_cause_of_many_parameters_is_found(hidden, cause, joint, most, tmp_pat
         assert first["p_family"] < 0.01
 
 
-@pytest.mark.parametrize("repeats", [1, 3])
-def test_range_noise_is_a_model_of_the_noise(repeats, tmp_path):
+def test_range_noise_is_a_model_of_the_noise(tmp_path):
     """Breaks if noise that grows with range is missed, taken for a cause that shifts points, or told of means of repeats."""
+    assert_range_noise(tmp_path, 3)
+
+
+def assert_range_noise(tmp_path, repeats: int) -> None:
+    """Noise that grows with range is found alone, as large as it is."""
     few = only("range-noise", "thermal-growth", "gear-ratio-error", "joint-backlash")
     seen = found(tmp_path, case("serial", Hidden("range-noise", 0, 2.5e-5), repeats=repeats, settings=few), 12)
     assert list(seen.causes["cause"]) == ["range-noise"]
@@ -121,17 +125,18 @@ def test_tracker_scale_is_said_to_be_out_of_reach(tmp_path):
     assert tested.loc["tracker-scale", "note"].startswith("not testable: needs relative_sd_mm")
 
 
+BESIDE = case(
+    "serial", Hidden("tracker-scale", 0, 8e-5), markers=3, relative_sd=2e-6, sigma=1e-5, poses=40,
+    settings=only("tracker-scale", "gear-ratio-error", "tool-sag"),
+)  # fmt: skip
+
+
 def test_tracker_scale_shows_in_distances_that_are_known(tmp_path):
-    """Breaks if markers whose places beside each other are known do not show the device's scale, or show one that is not there."""
-    known = case(
-        "serial", Hidden("tracker-scale", 0, 8e-5), markers=3, relative_sd=2e-6, sigma=1e-5, poses=40,
-        settings=only("tracker-scale", "gear-ratio-error", "tool-sag"),
-    )  # fmt: skip
-    seen = found(tmp_path, known, 14)
+    """Breaks if markers whose places beside each other are known do not show the device's scale."""
+    seen = found(tmp_path, BESIDE, 14)
     assert list(seen.causes["cause"]) == ["tracker-scale"]
     row = seen.causes.iloc[0]
     assert abs(row["estimate"] - 8e-5) < 4 * row["sd"]
-    assert found(tmp_path / "none", replace(known, hidden=()), 15).causes.empty
 
 
 @pytest.mark.parametrize("faults", [("outlier", "encoder-turn"), ("marker-swap",), ("joint-sign", "unit-mistake")])
@@ -196,7 +201,7 @@ def test_nothing_is_found_where_nothing_is_hidden(noise, robot, tmp_path):
         assert seen.table.empty
 
 
-TABLE_2 = case(  # of the paper on the HH800: from geometry alone, the compliance of joints 2 and 3
+TABLE_2 = case(  # of the paper on the HH800; benchmarks/slow finds the compliance of joints 2 and 3 from geometry alone
     "hh800", Hidden("joint-compliance", 0, 1.0), effects=("geometry",), payloads=("full",)
 )
 
@@ -210,9 +215,14 @@ UNKNOWN = {  # and more in benchmarks/blind.py
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", UNKNOWN)
+@pytest.mark.parametrize("name", [*UNKNOWN][1:])  # benchmarks/slow has the first
 def test_what_is_not_in_the_catalogue_is_not_named(name, tmp_path):
     """Breaks if an unknown cause is named with certainty, or passed over in silence."""
+    assert_not_named(tmp_path, name)
+
+
+def assert_not_named(tmp_path, name: str) -> None:
+    """An unknown cause is told as what nobody can name, or as one of several."""
     seen = found(tmp_path, UNKNOWN[name], 17)
     certain = seen.causes[(seen.causes["status"] == "named")]
     assert not seen.unexplained.empty or (len(seen.causes) and certain.empty), seen.table
@@ -226,21 +236,3 @@ def test_what_is_not_in_the_catalogue_is_not_named(name, tmp_path):
         assert "nonlinear stiffness of joint 5" in statement
     if name == "cable drag":
         assert "q4" in "".join(seen.unexplained["statement"])
-
-
-def test_the_papers_table_2_is_found(tmp_path):
-    """Breaks if, from geometry alone, anything but the compliance of joints 2 and 3 is found first on the HH800."""
-    like_it = (
-        "joint-compliance",
-        "link-bending",
-        "bearing-compliance",
-        "gravity-compensator",
-        "nonlinear-joint-stiffness",
-    )
-    seen = found(tmp_path, replace(TABLE_2, settings=only(*like_it)), 18)
-    first = seen.causes.iloc[:2]
-    assert set(first["cause"]) == {"joint-compliance"}
-    assert set(first["joint"]) == {2, 3}
-    steps = pd.read_csv(seen.folder / "diagnose" / "accuracy.csv")
-    heldout = steps.loc[steps["split"] == "holdout", "mean_mm"].tolist()
-    assert heldout[-1] < 0.08 < 0.5 < heldout[1]

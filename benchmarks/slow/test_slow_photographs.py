@@ -1,0 +1,55 @@
+"""What photographs tell of their devices, at length: one camera or plate alone, and each that errs beside one that does not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from calflow.calibration import identify
+from calflow.reporting.sections.verdict import how_sure
+from effects.boards import BOARD, findings_of, of_plates
+from effects.test_board_bent import assert_bent_and_stretched, bent
+from effects.test_camera_slip import SLIP, assert_slipped, slipped
+from effects.test_lens_growth import CENTRE, FOCAL, assert_grown, findings, warming
+from observations.test_camera import study
+
+
+def test_a_camera_that_slipped_is_found_between_its_images(tmp_path):
+    """Fails if the slip is missed, called a device's step, put within an image, or is of another size than the camera's."""
+    assert_slipped(tmp_path, slipped(4, camera=SLIP), "camera-slip")
+
+
+def test_images_that_may_be_before_a_slip_are_judged_nowhere(tmp_path):
+    """Fails if held-out images count, in space or on page one, of which no fitted one tells whether the camera had slipped."""
+    made = slipped(4, camera=SLIP)
+    held = made.rows["pose"].isin([3, 8, 12, 13, 14, 15, 18])
+    rows = made.rows.assign(split=np.where(held, "holdout", "train"))
+    kept = study(tmp_path, replace(made, rows=rows), "ur5e", True)
+    found = identify(kept.robot, kept.measurements(), ["geometry"], starts=1).diagnose(catalogue=["camera-slip"])
+    assert [finding.cause for finding in found.findings] == ["camera-slip"]
+    assert [row.n for row in found.in_space if row.where == "holdout"] == [3, 3]
+    said = dict(how_sure(found.material()))["Errors:"]
+    assert "at the 3 held-out poses (4 more may be before a step, and are not judged)" in said
+
+
+def test_the_lens_of_one_of_two_cameras_that_warms_up_is_found(tmp_path):
+    """Fails if growth is missed where another camera is steady, or is of that one."""
+    assert_grown(findings(tmp_path, warming(7, FOCAL, CENTRE, cameras=2)), ", camera camera2)")
+
+
+def test_no_lens_of_two_steady_cameras_grows(tmp_path):
+    """Fails if a worn arm's errors are taken for the growth of one of two cameras, each of which has figures of its own."""
+    assert findings(tmp_path, warming(8, 0.0, 0 * CENTRE, cameras=2)).empty
+
+
+def test_a_plate_that_is_not_flat_and_longer_one_way_is_both(tmp_path):
+    """Fails if a bow or a stretched print (`print-scale`) is missed beside the other, taken for another cause, or of another size:
+    the plate's height, and how much longer the print is one way than the other.
+    """
+    assert_bent_and_stretched(findings_of(tmp_path, of_plates(11, bent(4e-4) * [1.0, 1.003, 1.0])))
+
+
+def test_two_plates_that_are_as_stated_are_silent(tmp_path):
+    """Fails if a worn arm's errors are taken for those of one of two plates, each of which has figures of its own."""
+    assert findings_of(tmp_path, of_plates(12, BOARD, BOARD)).empty
