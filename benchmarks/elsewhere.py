@@ -455,9 +455,11 @@ def work_later(place: Place, wanders: tuple[str, ...] = WANDERS) -> list[Row]:
             error = at.position - seen[:, those]
             row: Row = {"arm": arm.name, "wander": wander, "size": size, "stage": stage, "ahead_h": ahead}
             row |= {"converged": calibration.fit_summary.converged, "framed": _framed(error, at)}
-            sd, wrong = (np.tile(values, (CONTINUED, 1)) for values in (at.sd, nominal[those]))
-            place, pose = seen[:, those].reshape(-1, 3), np.tile(rows.pose[those], CONTINUED)
-            found.append(row | told | promised(error.reshape(-1, 3), sd, wrong, place, pose))
+            sd, pose = np.tile(at.sd, (CONTINUED, 1)), np.tile(rows.pose[those], CONTINUED)
+            wrong = nominal[those] + seen[:, those] - seen[0, those]  # the walk goes on for either robot
+            found.append(
+                row | told | promised(*(each.reshape(-1, 3) for each in (error, sd, wrong, seen[:, those])), pose)
+            )
     return found
 
 
