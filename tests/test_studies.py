@@ -278,16 +278,6 @@ def test_a_positioner_s_base_and_target_are_found(tmp_path, monkeypatch):
 
 
 @measured_data
-def test_real_ur5(tmp_path, monkeypatch):
-    """Fails if a device that wandered while one series was measured is taken for where it stands in another."""
-    held = diagnosed(
-        "ur5", tmp_path, monkeypatch, "--stage", "diagnose", causes=["joint-error-map", "frame-drift"], every=2
-    )
-    assert held.iloc[1] <= 0.101
-    assert held.iloc[-1] <= 0.06
-
-
-@measured_data
 def test_real_franka_by_its_camera(tmp_path):
     """Fails if camera and board of unknown places go wrong on real poses of a camera, or its odd images are not told."""
     calflow("run", STUDIES / "franka-camera" / "study.toml", "--out", tmp_path, "--stage", "identify")

@@ -126,9 +126,9 @@ def test_nothing_is_found_where_nothing_moved(robot):
     known, q = robot
     alarms = [
         drift(known, checked(known, q, seed), station="known", false_alarm=0.05).summary.status != "in place"
-        for seed in range(30)
+        for seed in range(12)  # benchmarks/drift.py has more
     ]
-    assert sum(alarms) <= 5
+    assert sum(alarms) <= 3
 
 
 def test_false_alarms_rarer_than_draws_can_tell_still_let_a_shift_be_found(robot):

@@ -59,11 +59,13 @@ def test_of_two_scales_that_are_nearly_as_likely_the_present_one_stays():
     assert told(3.0 * USUAL, error)[0] == 2.0
 
 
-@pytest.mark.parametrize(
-    ("over_usual", "over_error"), [(1.0, 5.0), (3.0, 6.0), (8.0, 8.0), (20.0, 20.0), (20.0, 100.0)]
-)
-def test_intervals_hold_sizes_far_beyond_the_usual(over_usual, over_error):
+def test_intervals_hold_sizes_far_beyond_the_usual():
     """Fails if a block many times its usual size is missed, or its amplitudes lie outside their intervals, as shrunken ones do."""
+    assert_held(20.0, 20.0)
+
+
+def assert_held(over_usual: float, over_error: float) -> None:
+    """Amplitudes so many times their usual size, and their error, are in their intervals; benchmarks/slow has smaller ones."""
     rng, inside, number = np.random.default_rng(7), 0, 20
     for _ in range(number):
         course, rows, others = rng.normal(size=(60, 6)), rng.normal(size=(60, 2)), rng.normal(size=(60, 8))
@@ -78,9 +80,13 @@ def test_intervals_hold_sizes_far_beyond_the_usual(over_usual, over_error):
     assert inside >= binom.isf(0.995, 2 * number, 0.95)
 
 
-@pytest.mark.parametrize("cause", ON_ARM)
-def test_an_arm_s_cause_many_times_its_usual_size_comes_back(cause, tmp_path: Path):
-    """Fails if gears, an encoder or an adapter, ten or twenty times off what is usual, are missed, or told as far less."""
+def test_an_arm_s_cause_many_times_its_usual_size_comes_back(tmp_path: Path):
+    """Fails if an adapter ten or twenty times off what is usual is missed, or told as far less."""
+    assert_comes_back(tmp_path, "tool-deflection")
+
+
+def assert_comes_back(tmp_path: Path, cause: str) -> None:
+    """A cause far larger than usual is found, and as large as it is; benchmarks/slow has gears and an encoder."""
     size, case = ON_ARM[cause]
     write_case(tmp_path, case, np.random.default_rng(0))
     study = cf.load_study(tmp_path / "study.toml")

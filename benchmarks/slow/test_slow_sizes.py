@@ -1,0 +1,31 @@
+"""Causes many times their usual size, what was knocked, and gains where there is noise alone: more of what the tests ask of one."""
+
+from __future__ import annotations
+
+import pytest
+
+from diagnosis.test_far_larger import assert_comes_back, assert_held
+from diagnosis.test_objects_moved import assert_knocked, lengths
+from estimation.test_residual_field import gained
+
+
+@pytest.mark.parametrize(("over_usual", "over_error"), [(1.0, 5.0), (3.0, 6.0), (8.0, 8.0), (20.0, 100.0)])
+def test_intervals_hold_sizes_beyond_the_usual(over_usual, over_error):
+    """Fails if a block many times its usual size is missed, or its amplitudes lie outside their intervals, as shrunken ones do."""
+    assert_held(over_usual, over_error)
+
+
+@pytest.mark.parametrize("cause", ["gear-transmission-error", "joint-eccentricity"])
+def test_an_arm_s_cause_many_times_its_usual_size_comes_back(cause, tmp_path):
+    """Fails if gears or an encoder, ten or twenty times off what is usual, are missed, or told as far less."""
+    assert_comes_back(tmp_path, cause)
+
+
+def test_a_wire_s_anchor_may_be_knocked(tmp_path):
+    """Fails if a wire's anchor that moved once is missed, or taken for joints whose zeros jumped."""
+    assert_knocked(tmp_path, "wire", lengths, 70)
+
+
+def test_noise_alone_is_corrected_no_more_often_than_said():
+    """Fails if what is left by chance is taken for a gain more often than once in a hundred cases."""
+    assert gained(20) == 0
