@@ -281,8 +281,8 @@ def _expected(bare: Bare, h: Hidden, shift: np.ndarray) -> tuple[int, float]:
 def _cost(seen: Screening, score: Score, n: int) -> float:
     """What a cause costs beside noise of one sigma in n residuals, of which the screened ones have none."""
     own = score.candidate.columns
-    sd = seen.regressors.prior_sd[own]
-    fallen, narrowed = explained(*directions(score.information * np.outer(sd, sd), sd * seen.score[own]))
+    sd = seen.whole.regressors.prior_sd[own]
+    fallen, narrowed = explained(*directions(score.information * np.outer(sd, sd), sd * seen.whole.score[own]))
     logs = -(n * np.log1p(-fallen / (n + seen.chi2)) + narrowed) / 2
     return float(-2 * mixed(logs) + 2 * np.log(seen.variants[score.cause.place]))
 
@@ -297,7 +297,7 @@ def _screened(bare: Bare, residual: np.ndarray, others: Sequence[np.ndarray] = (
     """Screen a residual, with further columns that the model can imitate."""
     plain = bare.linearisation.regressors
     jacobian = np.column_stack([plain.jacobian, *others])
-    return Screening(replace(
+    return Screening.of(replace(
         plain, residual=-residual, pull=np.zeros(jacobian.shape[1]), prior_rss=0.0, jacobian=jacobian,
         precision=np.append(plain.precision, np.zeros(len(others))),
     ))  # fmt: skip

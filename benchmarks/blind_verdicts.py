@@ -106,7 +106,7 @@ def true_structure(study: Study, h: Hidden, results: Results) -> Fitted:
     """Fit the identified model with the hidden cause, in the form of it that suits the training rows best."""
     start, catalogue = begun(study, results)
     effects = [effect for effect in catalogue.effects if effect.id == h.cause]
-    first = Screening(start.regressors(effects))
+    first = Screening.of(start.regressors(effects))
     screened = Screened(tuple(first.scores), Family({}, 1.0), first.degrees_of_freedom)
     trial = FittedTrial(screened, start, catalogue)
     listed = next(score for score in first.scores if score.cause.joint == h.joint)

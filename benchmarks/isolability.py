@@ -173,8 +173,8 @@ class Hiding:
 def hiding(plan: Plan, rng: np.random.Generator) -> Hiding:
     """Draw a cause that the plan's tests show at its usual size or a few of them."""
     units = [unit for unit in UNITS if plan.plan.records.issuperset(unit.columns)]
-    candidates = plan.screening.regressors.candidates
-    matrix, sd = plan.screening.regressors.matrix, plan.screening.regressors.prior_sd
+    candidates = plan.screening.whole.regressors.candidates
+    matrix, sd = plan.screening.whole.regressors.matrix, plan.screening.whole.regressors.prior_sd
     while True:
         unit: Unit = units[int(rng.integers(len(units)))]
         joint, extra = int(rng.choice(unit.joints)), unit.extras[int(rng.integers(len(unit.extras)))]

@@ -102,7 +102,7 @@ def test_chances_are_those_of_fits_to_simulated_measurements():
         tuple(candidates),
     )  # fmt: skip
     family = Family({}, 5.0)
-    seen, told = chances(Screening(regressors), family, alarm, rng, draws=number)
+    seen, told = chances(Screening.of(regressors), family, alarm, rng, draws=number)
     found = _simulated(matrices, sd, fitted, prior, n - taken, 1 - (1 - alarm) ** (1 / 5), number)
     stated = {(name, ""): seen[name, ""] for name in matrices}
     stated |= {(true, rival): told[(true, ""), (rival, "")] for true in matrices for rival in matrices if true != rival}

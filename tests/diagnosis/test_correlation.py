@@ -43,7 +43,7 @@ def beside(covariance: np.ndarray, matrix: np.ndarray, residual: np.ndarray) -> 
     """The same by the textbook: all rows whitened by their covariance (Aitken 1936)."""
     root = np.linalg.inv(np.linalg.cholesky(covariance))
     rows = linearised(root @ matrix, root @ residual)
-    return Screening(Regressors(**vars(rows) | {"jacobian": root @ JACOBIAN}))
+    return Screening.of(Regressors(**vars(rows) | {"jacobian": root @ JACOBIAN}))
 
 
 @pytest.mark.parametrize("factor", [np.ones(N), np.linspace(1.0, 3.0, N)], ids=["as weighed", "weighed otherwise"])
@@ -54,11 +54,11 @@ def test_tests_are_those_by_the_covariance(factor):
     covariance = np.eye(N) + shared @ shared.T
     residual = np.linalg.cholesky(covariance) @ RNG.standard_normal(N)
     matrix = RNG.standard_normal((N, 2))
-    one = Screening(linearised(matrix, residual).beside(BACKGROUND, WEIGHT / factor * 5))
+    one = Screening.of(linearised(matrix, residual).beside(BACKGROUND, WEIGHT / factor * 5))
     other = beside(covariance, matrix, residual)
     assert one.chi2 == pytest.approx(other.chi2)
     assert one.degrees_of_freedom == pytest.approx(other.degrees_of_freedom)
-    assert one.change[:4] == pytest.approx(other.change)
+    assert one.model.change[:4] == pytest.approx(other.model.change)
     assert one.scores[0].estimate == pytest.approx(other.scores[0].estimate)
     assert one.scores[0].covariance == pytest.approx(other.scores[0].covariance)
     assert one.scores[0].cost == pytest.approx(other.scores[0].cost, abs=1e-6)

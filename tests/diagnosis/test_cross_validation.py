@@ -9,15 +9,15 @@ import numpy as np
 from calflow.diagnosis.background import BackgroundBasis, background
 from calflow.diagnosis.cross_validation import LeftOutBlock, carried_over, pose_blocks
 from calflow.diagnosis.fitted import Fitted
-from calflow.diagnosis.screening import Screening
+from calflow.diagnosis.linear_model import LinearModel
 from diagnosis.found import cause, hidden, start
 from diagnosis.test_unexplained import fitted
 from estimation.data import SIGMA
 
 
-def left_by(known: Fitted) -> Screening:
+def left_by(known: Fitted) -> LinearModel:
     """The model linearised with the background that it leaves."""
-    return Screening(replace(known, background=background(known, BackgroundBasis.of(known))).beside)
+    return LinearModel(replace(known, background=background(known, BackgroundBasis.of(known))).beside)
 
 
 def test_a_true_cause_carries_over_to_blocks_that_were_left_out():
@@ -44,7 +44,7 @@ def test_a_smooth_error_does_not_decide_whether_a_cause_carries_over():
         known = start(data).with_causes([eccentric])
         alone, beside = (
             carried_over(known, eccentric, model, [LeftOutBlock.each(model, kind) for kind in pose_blocks(known)])
-            for model in (Screening(known.alone), left_by(known))
+            for model in (LinearModel(known.alone), left_by(known))
         )
         assert beside.holds
         gained, without = gained + beside.gain[0], without + alone.gain[0]

@@ -53,7 +53,7 @@ def test_a_cause_at_its_detection_limit_is_found_95_times_in_100(name: str, rows
     effect, variant, part = CAUSES[name]
     cause, family, draws = Cause(ROBOT, catalogue()[effect](ROBOT, **variant), part), Family({}, 30.0), 400
     problem, rng = regressors(cause, rows), np.random.default_rng(3)
-    at_rest = Screening(replace(problem, residual=rng.standard_normal(rows)))
+    at_rest = Screening.of(replace(problem, residual=rng.standard_normal(rows)))
     screened = Screened(tuple(at_rest.scores), family, at_rest.degrees_of_freedom)
     (limit,) = detection_limits(screened.scores, screened, ACCEPTANCE.false_alarm, rng)
     found = 0
@@ -62,7 +62,7 @@ def test_a_cause_at_its_detection_limit_is_found_95_times_in_100(name: str, rows
         values = np.where(cause.bounds[0] == 0, np.abs(values), values)
         values *= limit / abs(amplitude(cause, values, np.eye(len(values)))[0])
         residual = rng.standard_normal(rows) - problem.matrix.times(values)  # of the model, less what is measured
-        found += ACCEPTANCE.accepts(Screening(replaced(problem, residual)).scores[0], family)
+        found += ACCEPTANCE.accepts(Screening.of(replaced(problem, residual)).scores[0], family)
     assert 0.91 < found / draws < 0.985
 
 

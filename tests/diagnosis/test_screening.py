@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.stats import binom, kstest
 
+from calflow.diagnosis.linear_model import LinearModel
 from calflow.diagnosis.regressors import Background, Regressors
 from calflow.diagnosis.screening import Catalogue, Screening
 from calflow.diagnosis.stepwise import CauseAcceptance
-from calflow.diagnosis.sweep import Swept
 from calflow.effects import catalogue
 from calflow.effects.cause import Cause
 from calflow.estimation.fit import fit
@@ -50,7 +50,7 @@ def regressors(data, fitted):
 def test_a_score_is_what_a_refit_gains(data, fitted, regressors):
     """Breaks if the projection forgets the fit's parameters or the priors: then chi² falls by something else."""
     before, asked = fitted
-    scores = {(s.cause.place, s.cause.detail): s for s in Screening(regressors).scores}
+    scores = {(s.cause.place, s.cause.detail): s for s in Screening.of(regressors).scores}
     for (_, part), detail in ((("joint-eccentricity", "joint2"), "order 1"), (("gear-ratio-error", "joint4"), "")):
         score = next(
             s for (place, d), s in scores.items() if place[1] == part and d == detail and place[0] in TESTED[:2]
@@ -64,26 +64,26 @@ def test_a_score_is_what_a_refit_gains(data, fitted, regressors):
 
 def test_the_right_cause_scores_best(regressors):
     """Breaks if the evidence does not rank the cause that is there first, or its amplitude is wrong."""
-    best = Screening(regressors).scores[0]
+    best = Screening.of(regressors).scores[0]
     assert best.cause.place == ("joint-eccentricity", "joint2")
     np.testing.assert_allclose(best.estimate, [1.5e-4, -1e-4], atol=4 * np.sqrt(np.diag(best.covariance)).max())
 
 
 def test_many_points_of_a_pose_do_not_hide_what_moves_it(fitted, regressors):
     """Fails if a cause must matter beside the noise of all points that are seen of a pose, or less of one that is seen by one."""
-    best, accepted = Screening(regressors).scores[0], CauseAcceptance(0.01, 5)
+    best, accepted = Screening.of(regressors).scores[0], CauseAcceptance(0.01, 5)
     small = replace(best, share=0.004)
     effects, rng = (best.cause.effect,), np.random.default_rng(2)
     for points, is_material in ((1, False), (2, False), (10, True)):
         poses = np.arange(60) // points
-        family = Screening(Regressors.of(*fitted, effects, poses)).family(rng)
+        family = Screening.of(Regressors.of(*fitted, effects, poses)).family(rng)
         assert accepted.accepts(best, family)
         assert accepted.accepts(small, family) == is_material
 
 
 def test_what_geometry_imitates_is_not_tested(regressors):
     """Breaks if a candidate that the model's own parameters imitate counts as testable."""
-    screening = Screening(regressors)
+    screening = Screening.of(regressors)
     shown = {score.cause.id for score in screening.scores}
     assert "tracker-scale" not in shown
     assert {"joint-eccentricity", "gear-ratio-error", "bearing-compliance"} <= shown
@@ -102,8 +102,8 @@ def test_a_swept_model_tests_as_a_new_one_does(regressors):
     added = whole.candidates[1].columns
     for gone, come in (([1, 4], none), (none, added), ([1, 4], added)):
         estimate = value if len(gone) else np.zeros(0)
-        swept = Swept(Screening(replace(whole, pull=pull)), tested, np.array(gone), estimate, come)
-        anew = {score.cause: score for score in swept.model.scores}
+        swept = Screening(LinearModel(replace(whole, pull=pull)), tested, np.array(gone), estimate, come)
+        anew = {score.cause: score for score in Screening.of(swept.model.regressors).scores}
         assert swept.chi2 == pytest.approx(swept.model.chi2)
         assert swept.degrees_of_freedom == pytest.approx(swept.model.degrees_of_freedom)
         assert swept.scores
@@ -134,10 +134,10 @@ def null(regressors, rng):
 def test_p_values_keep_their_promise(regressors):
     """Breaks if a single test's p-value is not uniform, or the family's false alarms are not what was asked for."""
     rng = np.random.default_rng(5)
-    family = Screening(null(regressors, rng)).family(rng)
+    family = Screening.of(null(regressors, rng)).family(rng)
     singles, alarms, draws = [], 0, 400
     for _ in range(draws):
-        scores = Screening(null(regressors, rng)).scores
+        scores = Screening.of(null(regressors, rng)).scores
         singles.append(next(s.p for s in scores if s.cause.place == ("gear-ratio-error", "joint4")))
         alarms += min(family.p(s) for s in scores) < 0.05
     assert kstest(singles, "uniform").pvalue > 1e-3
@@ -149,7 +149,7 @@ def test_a_scan_is_paid_for_in_its_own_place(data, fitted):
     """Breaks if the many orders of a periodic error are free, or make causes without a scan pay."""
     effects = Catalogue.of(data, ("geometry",), ("periodic-joint-error", "gear-ratio-error")).effects
     regressors = Regressors.of(*fitted, effects)
-    family = Screening(null(regressors, np.random.default_rng(6))).family(np.random.default_rng(7))
+    family = Screening.of(null(regressors, np.random.default_rng(6))).family(np.random.default_rng(7))
     assert family.scans["periodic-joint-error", "joint2"] > 10
     assert family.scans["gear-ratio-error", "joint4"] == pytest.approx(1.0, abs=0.35)
     assert family.places < 2 * len(family.scans)
@@ -165,7 +165,7 @@ def test_a_wrong_sign_is_no_evidence():
         truth = np.append(np.zeros(len(model.parameters) - 1), sign * 5e-7)
         data = measured(model, truth, 80, np.random.default_rng(6))
         plain = problem(build(robot, ("geometry",)), data)
-        scores = Screening(Regressors.of(fit(plain)[0], plain, (cause,))).scores
+        scores = Screening.of(Regressors.of(fit(plain)[0], plain, (cause,))).scores
         found[sign] = scores[0]
     assert found[1].cost < -50
     assert found[-1].p < 1e-6  # there is something

@@ -11,6 +11,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from calflow.diagnosis import regressors as module
+from calflow.diagnosis.linear_model import LinearModel
 from calflow.diagnosis.regressors import Background, Regressors
 from calflow.diagnosis.screening import Catalogue, Screening
 from calflow.estimation.fit import fit
@@ -58,8 +59,8 @@ def test_sums_are_those_of_the_whole_matrix(both):
     """Fails if a block's rows are others than its number says, a pose is torn apart, or a background forgotten."""
     held, remade = both
     assert [len(list(one.matrix.blocks())) > 1 for one in both] == [False, True]
-    seen = Screening(held), Screening(remade)
-    sums = ([*(stack.information for stack in screening.stacks), screening.score] for screening in seen)
+    seen = LinearModel(held), LinearModel(remade)
+    sums = ([*(stack.information for stack in model.stacks), model.score] for model in seen)
     for one, other in zip(*sums, strict=True):
         assert_allclose(other, one, rtol=1e-8, atol=1e-9 * np.abs(one).max(initial=0.0))
     some, rng = np.arange(0, held.matrix.shape[1], 5), np.random.default_rng(1)
@@ -75,7 +76,7 @@ def test_sums_are_those_of_the_whole_matrix(both):
 
 def test_tests_cost_the_same(both):
     """Fails if the bootstrap's draws depend on how the rows are looked at."""
-    one, other = (Screening(regressors).family(np.random.default_rng(3)) for regressors in both)
+    one, other = (Screening.of(regressors).family(np.random.default_rng(3)) for regressors in both)
     assert other.places == pytest.approx(one.places)
     assert other.scans == pytest.approx(one.scans)
 

@@ -75,7 +75,7 @@ def look_alikes(rng, hidden):
     candidates = tuple(Candidate(block, np.array([k])) for k, block in enumerate(blocks))
     residual = (left - own @ factor) / 0.3
     jacobian, matrix = own / 0.3, TallMatrix.held(both / 0.3)
-    return Screening(Regressors(residual, jacobian, flat, -flat * factor, 0.0, matrix, np.ones(2), candidates))
+    return Screening.of(Regressors(residual, jacobian, flat, -flat * factor, 0.0, matrix, np.ones(2), candidates))
 
 
 def test_few_rows_and_many_parameters_leave_it_open_as_often_as_they_should():

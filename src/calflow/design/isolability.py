@@ -227,7 +227,7 @@ def isolability(
     seen, told_apart = chances(
         screening, screening.family(rng), SHARES["causes"] * false_alarm, rng, size=size, draws=draws
     )
-    causes = {candidate.cause.place: candidate.cause for candidate in screening.regressors.candidates}
+    causes = {candidate.cause.place: candidate.cause for candidate in screening.whole.regressors.candidates}
     indistinguishable = {place: _indistinguishable(cause, catalogue, causes) for place, cause in causes.items()}
     return Isolability(causes, seen, told_apart, catalogue.lacking, indistinguishable)
 
@@ -239,7 +239,7 @@ def screened(
     train = data.only(data.train)
     catalogue = Catalogue.of(train, effects)
     model = stated(data.robot, effects, train, (planned.observation,))
-    return Screening(_regressors(model, planned, train.conditions, catalogue.effects, rng)), catalogue
+    return Screening.of(_regressors(model, planned, train.conditions, catalogue.effects, rng)), catalogue
 
 
 def chances(
@@ -257,12 +257,12 @@ def chances(
     false_alarm: family-wise false-alarm rate of the tests; all causes share the same noise draws; places: those that
     may be true, by default all.
     """
-    regressors = screening.regressors
+    regressors, whole = screening.whole.regressors, screening.whole
     noise = rng.standard_normal((len(regressors.residual), draws))
     pull = (
         TYPICAL_ERROR * np.sqrt(regressors.precision)[:, None] * rng.standard_normal((len(regressors.precision), draws))
     )
-    still, left = screening.settled(noise, pull)
+    still, left = whole.settled(noise, pull)
     forms: dict[Place, list[Candidate[H]]] = {}
     for candidate in regressors.candidates:
         forms.setdefault(candidate.cause.place, []).append(candidate)
@@ -273,7 +273,7 @@ def chances(
         tried = [form[k] for k in rng.permutation(len(form))[:FORMS]]
         for candidate, which in zip(tried, np.array_split(np.arange(draws), len(tried)), strict=True):
             truth, columns = amplitudes(candidate, regressors.prior_sd, size, len(which), rng), candidate.columns
-            score = still[:, which] - screening.response(columns) @ truth
+            score = still[:, which] - whole.response(columns) @ truth
             chi2 = left[which] - (truth * (still[columns][:, which] + score[columns])).sum(axis=0)
             by_place = screening.trials(score, chi2, family, false_alarm)
             if place not in by_place:  # no form is testable

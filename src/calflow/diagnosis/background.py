@@ -20,8 +20,8 @@ import scipy
 
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.form_error import SHARE, variations
+from calflow.diagnosis.linear_model import LinearModel
 from calflow.diagnosis.regressors import Background, Regressors, TallMatrix, principal
-from calflow.diagnosis.screening import Screening
 from calflow.effects.cause import Cause
 from calflow.estimation.calibrated_model import MANY
 from calflow.estimation.least_squares import LeastSquares
@@ -246,10 +246,10 @@ def background(fitted: Fitted, basis: BackgroundBasis, without: Collection[str] 
 
 def components_beside(
     regressors: Regressors[Cause], modes: np.ndarray, smooth: Sequence[np.ndarray], others: Sequence[np.ndarray]
-) -> tuple[Screening[Cause], VarianceComponents]:
-    """Return the screening of a linearised model and the variance components beside it, of smooth parts in modes and of others."""
+) -> tuple[LinearModel[Cause], VarianceComponents]:
+    """Return a linearised model and the variance components beside it, of smooth parts in modes and of others."""
     held = TallMatrix.held(np.hstack([modes, *others]))
-    seen = Screening(regressors.moving(held))
+    seen = LinearModel(regressors.moving(held))
     shown = seen.information(np.arange(held.shape[1]))
     # Smooth parts are given in modes; the others, which have many columns but few poses, enter by their products as they are.
     n, waves = modes.shape[1], np.hstack(smooth)

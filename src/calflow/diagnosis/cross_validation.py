@@ -15,7 +15,7 @@ import scipy
 
 from calflow.diagnosis.background import BackgroundBasis, background
 from calflow.diagnosis.fitted import Fitted
-from calflow.diagnosis.screening import Screening
+from calflow.diagnosis.linear_model import LinearModel
 from calflow.effects.cause import Cause
 from calflow.estimation.leverage import halved
 
@@ -69,7 +69,7 @@ class LeftOutBlock:
     factor: tuple[np.ndarray, bool]
 
     @staticmethod
-    def each(model: Screening[Cause], block: np.ndarray) -> list[LeftOutBlock]:
+    def each(model: LinearModel[Cause], block: np.ndarray) -> list[LeftOutBlock]:
         """Return the blocks of residuals numbered by block (n,)."""
         blocks = []
         for rows in (np.flatnonzero(block == number) for number in np.unique(block)):
@@ -101,7 +101,7 @@ class LeftOutBlock:
 
 
 def carried_over(
-    fitted: Fitted, cause: Cause, beside: Screening[Cause], kinds: Sequence[Sequence[LeftOutBlock]]
+    fitted: Fitted, cause: Cause, beside: LinearModel[Cause], kinds: Sequence[Sequence[LeftOutBlock]]
 ) -> CarriedOver:
     """Return the gain of a cause of the model, linearised with its background, at left-out blocks of each kind.
 
@@ -121,6 +121,6 @@ def carried_over(
 
 def carrying(fitted: Fitted, basis: BackgroundBasis, causes: Iterable[Cause]) -> Iterator[bool]:
     """Yield whether each of some causes of the model carries over."""
-    beside = Screening(fitted.alone.beside(background(fitted, basis), fitted.problem.weight))
+    beside = LinearModel(fitted.alone.beside(background(fitted, basis), fitted.problem.weight))
     kinds = [LeftOutBlock.each(beside, kind) for kind in pose_blocks(fitted)]
     yield from (carried_over(fitted, cause, beside, kinds).holds for cause in causes)

@@ -30,8 +30,9 @@ from calflow.diagnosis.background import (
 from calflow.diagnosis.cross_validation import carrying
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.form_error import farthest, with_form_errors
+from calflow.diagnosis.linear_model import LinearModel
 from calflow.diagnosis.regressors import Place
-from calflow.diagnosis.screening import Catalogue, Score, Screening, by_place
+from calflow.diagnosis.screening import Catalogue, Score, by_place
 from calflow.diagnosis.stepwise import REACH, SPLIT, Stepwise, second_thoughts, words
 from calflow.diagnosis.trial import Detection, Linearisation, Trial, is_new
 from calflow.effects.cause import Cause
@@ -64,7 +65,7 @@ class FittedTrial(Trial[Cause]):
     def cost(self) -> float:
         """Minus twice the log evidence, comparable between trials: misfit, parameters, and number of variants tried."""
         fitted, model, free = self.fitted, self.fitted.model, np.flatnonzero(~self.fitted.fit.at_bound)
-        settled = Screening(fitted.beside)
+        settled = LinearModel(fitted.beside)
         estimate = fitted.fit.estimate.copy()
         estimate[free] += settled.change
         every = [_relative_amplitudes(fitted, cause, estimate, self.catalogue.variants) for cause in self.causes]

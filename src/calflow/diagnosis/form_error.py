@@ -14,8 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calflow.diagnosis.fitted import Fitted
+from calflow.diagnosis.linear_model import LinearModel
 from calflow.diagnosis.regressors import Regressors, Rows, TallMatrix
-from calflow.diagnosis.screening import Score, Screening, by_place
+from calflow.diagnosis.screening import Score, by_place
 from calflow.diagnosis.trial import Detection
 from calflow.effects.base import IN_ORDER, Variable
 from calflow.effects.cause import Cause
@@ -60,7 +61,7 @@ def with_form_errors(finding: Detection[Cause], fitted: Fitted, apart: Regressor
             yield rows, np.hstack([form.regressors(rows, x) for form in forms])
 
     width = sum(form.width for form in forms)
-    seen = Screening(apart.moving(TallMatrix((len(row), width), blocks)))
+    seen = LinearModel(apart.moving(TallMatrix((len(row), width), blocks)))
     information = seen.information(np.arange(width))
     gains = {
         form.score.cause: form.gain(information[span, span], seen.score[span], apart.prior_sd, seen)
@@ -95,7 +96,7 @@ class _Form:
         own = x[:, self.columns]
         return np.hstack([own, (own @ self.score.estimate)[:, None] * self.variations[rows]])
 
-    def gain(self, information: np.ndarray, score: np.ndarray, prior_sd: np.ndarray, seen: Screening[Cause]) -> float:
+    def gain(self, information: np.ndarray, score: np.ndarray, prior_sd: np.ndarray, seen: LinearModel[Cause]) -> float:
         """Return twice the log Bayes factor of its form error, by the information on its regressors and their score."""
         own, error = np.split(np.arange(self.width), [len(self.columns)])
         inverse = np.linalg.inv(information[np.ix_(own, own)] + np.diag(prior_sd[self.columns] ** -2.0))

@@ -1,8 +1,9 @@
 """Screening: score tests of all causes of a catalogue against the residual of a fitted model, from one Jacobian.
 
-The whitened residual e is that at the minimum of the fit's objective. For a candidate with whitened regressors X, the fit's
-Jacobian J and the priors' precision P about an offset δ, the information is the Schur complement S = XᵀX - XᵀJ (JᵀJ + P)⁻¹ JᵀX and
-the score u = Xᵀe - XᵀJ (JᵀJ + P)⁻¹ (Jᵀe + P δ): uᵀ(S + prior)⁻¹u is the reduction of chi² in a refit.
+A linear model is swept for tests beside it without some of its parameters, and with candidates as further ones (Goodnight 1979).
+Nothing is factored again. With C the covariance RᵀR of the parameters that leave, W = R⁻ᵀ times their response to the candidates,
+and h likewise of the way from where they would be to zero, S grows by WᵀW, u by Wᵀh and chi² by hᵀh. Parameters that come lower
+them in the same manner.
 
 Candidates are also tested against many simulated residuals at once (`trials`). p-values are corrected for the number of tests
 (`Family`).
@@ -10,27 +11,27 @@ Candidates are also tested against many simulated residuals at once (`trials`). 
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Generic
 
 import numpy as np
 import scipy
 
-from calflow.diagnosis.regressors import Candidate, H, Place, Regressors, side_by_side
+from calflow.diagnosis.linear_model import DRAWN_AT_ONCE, LinearModel, Stack
+from calflow.diagnosis.regressors import Candidate, H, Place, Regressors
 from calflow.effects import Effect, catalogue, effect_class
 from calflow.estimation.prior_scale import on_likeliest_scale
-from calflow.estimation.variance_components import LOG_PRIOR, SIZES, directions, explained, log_likelihood, mixed
+from calflow.estimation.variance_components import explained, log_likelihood, mixed
 from calflow.measurements.measurements import Measurements
 
 # Level of the smallest p-value at which the bootstrap determines the equivalent number of tests.
 BOOTSTRAP_SIGNIFICANCE = 0.05
 MATERIAL = 0.01  # share of chi² that a cause must explain: thousands of poses also show effects too small to matter
 INVISIBLE = 0.25  # least chi² of a direction at one prior standard deviation for it to be testable
-DRAWS, DRAWN_AT_ONCE = 1000, 250  # bootstrap draws
+DRAWS = 1000  # bootstrap draws
 
 
 @dataclass(frozen=True)
@@ -155,81 +156,48 @@ def worth(smallest: np.ndarray) -> float:
     return float(max(1.0, np.log1p(-BOOTSTRAP_SIGNIFICANCE) / np.log1p(-min(quantile, BOOTSTRAP_SIGNIFICANCE))))
 
 
-@dataclass(frozen=True)
-class RegressorProducts:
-    """Products of regressors over all rows that tests need.
-
-    own (n_columns, widest): each regressor with those of its candidate; projected (n_free, n_columns): with a root of the
-    covariance of the predicted residuals; score (n_columns,): with the residual after a Newton step.
-    """
-
-    own: np.ndarray
-    projected: np.ndarray
-    score: np.ndarray
-
-    @staticmethod
-    def of(regressors: Regressors, root: np.ndarray, residual: np.ndarray) -> RegressorProducts:
-        """Return the products with the root (n_free, n) and the residual (n,)."""
-        own = np.zeros((regressors.matrix.shape[1], max((len(c.columns) for c in regressors.candidates), default=0)))
-        projected, score = np.zeros((len(root), len(own))), np.zeros(len(own))
-        for rows, values in regressors.matrix.blocks():
-            for candidate in regressors.candidates:
-                columns = side_by_side(candidate.columns)
-                x = values[:, columns]
-                own[columns, : len(candidate.columns)] += x.T @ x
-            projected += root[:, rows] @ values
-            score += values.T @ residual[rows]
-        return RegressorProducts(own, projected, score)
-
-
-@dataclass(frozen=True)
-class Stack:
-    """Candidates with equal numbers of columns d, stacked, as they are beside a whole model.
-
-    members (n_members,): indices of the candidates; columns (n_members, d): of their regressors; sd (n_members, d): of their
-    priors; moved (n_members,): their squared effect at one sd; information (n_members, d, d): S; bounds (n_members, 2, d): of the
-    parameters.
-    """
-
-    members: np.ndarray
-    columns: np.ndarray
-    sd: np.ndarray
-    moved: np.ndarray
-    information: np.ndarray
-    bounds: np.ndarray
-
-
-@dataclass(frozen=True)
-class _Block:
-    """Candidates with equal numbers of columns d, stacked.
+@dataclass(frozen=True, eq=False)
+class _Tested(Stack):
+    """Candidates of a stack beside the model that they are tested beside; information (n_members, d, d) is S beside that.
 
     roots (n_members, d, d): whitening of scores to independent standard normals, zero in directions that the data cannot show;
-    value (n_members, d): information of these directions over the prior's, zero likewise; degrees_of_freedom (n_members,): their
-    number; information (n_members, d, d): S; share (n_members,): visible share of each candidate;
-    precision (n_members, d): of the priors; bounds (n_members, 2, d): of the parameters; scans (n_members,): variants of its place.
+    value (n_members, d): information of these directions over the prior's, zero likewise.
     """
 
-    members: tuple[int, ...]
-    columns: np.ndarray
     roots: np.ndarray
     value: np.ndarray
-    degrees_of_freedom: np.ndarray
-    information: np.ndarray
-    share: np.ndarray
-    precision: np.ndarray
-    bounds: np.ndarray
-    scans: np.ndarray
+
+    @staticmethod
+    def of(stack: Stack) -> _Tested:
+        """Return those candidates of a stack that the data show."""
+        values, vectors = np.linalg.eigh(stack.information * stack.sd[:, :, None] * stack.sd[:, None, :])
+        shown = values > INVISIBLE
+        normal = vectors * np.where(shown, np.abs(values) + 1e-300, np.inf)[:, None, :] ** -0.5
+        roots = normal.transpose(0, 2, 1) * stack.sd[:, None, :]
+        return _Tested(**vars(stack), roots=roots, value=np.where(shown, values, 0.0)).only(
+            np.flatnonzero(shown.any(axis=1))
+        )
+
+    @property
+    def degrees_of_freedom(self) -> np.ndarray:
+        """Number of directions that the data show, (n_members,)."""
+        return np.asarray(np.count_nonzero(self.value, axis=1))
+
+    @property
+    def share(self) -> np.ndarray:
+        """Visible share of each candidate, (n_members,)."""
+        return np.sqrt(np.maximum(np.einsum("mii,mi->m", self.information, self.sd**2), 0.0) / self.moved)
 
     @cached_property
     def covariance(self) -> np.ndarray:
         """Covariance (n_members, d, d) of the parameters, priors included."""
-        prior = np.eye(self.precision.shape[1]) * self.precision[:, None, :]
+        prior = np.eye(self.sd.shape[1]) * self.sd[:, None, :] ** -2.0
         return np.asarray(np.linalg.inv(self.information + prior))
 
 
 @dataclass(frozen=True, eq=False)
 class _Evaluated:
-    """A block's candidates evaluated for draws of their scores, (n_members, n_draws) each.
+    """A stack's candidates evaluated for draws of their scores, (n_members, n_draws) each.
 
     squared: reduction of chi² without priors and bounds; drops: the same with them; cost: minus twice the log evidence; estimate
     (n_members, d, n_draws): of the parameters.
@@ -241,109 +209,97 @@ class _Evaluated:
     estimate: np.ndarray
 
 
-class ScoreTests(ABC, Generic[H]):
-    """Score tests of some candidates against a model's residual."""
+@dataclass(frozen=True, eq=False)
+class Screening(Generic[H]):
+    """Score tests of some candidates against the residual of a linear model that is swept.
+
+    some: indices of the candidates; gone: of the whole model's free parameters that leave it, with their estimates value; come:
+    columns of the regressors that become parameters.
+    """
+
+    whole: LinearModel[H]
+    some: np.ndarray
+    gone: np.ndarray
+    value: np.ndarray
+    come: np.ndarray
+
+    @staticmethod
+    def of(regressors: Regressors[H]) -> Screening[H]:
+        """Return the tests of all candidates beside a model as it is."""
+        none = np.zeros(0, dtype=int)
+        return Screening(LinearModel(regressors), np.arange(len(regressors.candidates)), none, np.zeros(0), none)
+
+    @cached_property
+    def model(self) -> LinearModel[H]:
+        """The swept model, factored anew."""
+        if not len(self._sign):
+            return self.whole
+        whole = self.whole.regressors
+        columns = whole.matrix.only(self.come).times(np.eye(len(self.come)))
+        less = whole.without(self.gone, self.value)
+        return LinearModel(less.with_parameters(columns, whole.prior_sd[self.come] ** -2.0))
 
     @property
-    @abstractmethod
-    def model(self) -> Screening[H]:
-        """The model with all its parameters, linearised."""
-
-    @property
-    @abstractmethod
-    def tested(self) -> np.ndarray:
-        """The indices of the candidates that are tested."""
-
-    @property
-    @abstractmethod
-    def linear(self) -> Regressors[H]:
-        """The linearised model of the stacks."""
-
-    @property
-    @abstractmethod
-    def stacks(self) -> Sequence[Stack]:
-        """All candidates, by their numbers of columns."""
-
-    @abstractmethod
-    def changed(self, columns: np.ndarray) -> np.ndarray | float:
-        """Return by how much S (n_members, d, d) of candidates with columns (n_members, d) is larger than in the stacks."""
-
-    @abstractmethod
-    def score_of(self, columns: np.ndarray) -> np.ndarray:
-        """Return the score u of columns (n_members, d)."""
-
-    @property
-    @abstractmethod
-    def chi2(self) -> float:
-        """Chi² of the model, priors included, after a Newton step of its parameters."""
-
-    @property
-    @abstractmethod
-    def degrees_of_freedom(self) -> float:
-        """Residual degrees of freedom: number of residuals less that of the effective parameters, a background's left out."""
+    def _candidates(self) -> tuple[Candidate[H], ...]:
+        return self.whole.regressors.candidates
 
     @cached_property
     def variants(self) -> dict[Place, int]:
         """Number of tested candidates of each place."""
-        return dict(Counter(self._candidates[k].cause.place for k in self.tested.tolist()))
-
-    @property
-    def _candidates(self) -> tuple[Candidate[H], ...]:
-        return self.linear.candidates
+        return dict(Counter(self._candidates[k].cause.place for k in self.some.tolist()))
 
     @cached_property
-    def _blocks(self) -> list[_Block]:
-        blocks = []
-        for stack in self.stacks:
-            here = np.isin(stack.members, self.tested)
-            members, columns, sd = stack.members[here], stack.columns[here], stack.sd[here]
-            s = stack.information[here] + self.changed(columns)
-            values, vectors = np.linalg.eigh(s * sd[:, :, None] * sd[:, None, :])
-            shown = values > INVISIBLE
-            normal = vectors * np.where(shown, np.abs(values) + 1e-300, np.inf)[:, None, :] ** -0.5
-            value = np.where(shown, values, 0.0)
-            some = shown.any(axis=1)
-            roots = normal.transpose(0, 2, 1) * sd[:, None, :]
-            share = np.sqrt(np.maximum(np.einsum("mii,mi->m", s, sd**2), 0.0) / stack.moved[here])
-            scans = np.array([self.variants[self._candidates[m].cause.place] for m in members], dtype=int)
-            parts = (columns, roots, value, shown.sum(axis=1), s, share, sd**-2.0, stack.bounds[here], scans)
-            blocks.append(_Block(tuple(members[some].tolist()), *(part[some] for part in parts)))
-        return [block for block in blocks if block.members]
+    def _stacks(self) -> list[_Tested]:
+        beside = []
+        for stack in self.whole.stacks:
+            there = stack.only(np.flatnonzero(np.isin(stack.members, self.some)))
+            rows = self._rows[:, there.columns - self._span.start].transpose(1, 2, 0)
+            swept = rows @ (self._sign[:, None] * rows.transpose(0, 2, 1))
+            beside.append(_Tested.of(replace(there, information=there.information + swept)))
+        return [stack for stack in beside if len(stack.members)]
+
+    def _score_of(self, columns: np.ndarray) -> np.ndarray:
+        """Return the score u of columns (n_members, d)."""
+        moved = np.tensordot(self._sign * self._way, self._rows[:, columns - self._span.start], 1)
+        return np.asarray(self.whole.score[columns] + moved)
+
+    def _places(self, stack: Stack) -> list[Place]:
+        return [self._candidates[member].cause.place for member in stack.members]
 
     @cached_property
     def scores(self) -> list[Score[H]]:
         """Every visible candidate's score, best first."""
         scores = []
-        for block in self._blocks:
-            left = self.degrees_of_freedom - block.degrees_of_freedom
-            if (freedom := self.linear.amplitude_freedom) is not None:
+        for stack in self._stacks:
+            left = self.degrees_of_freedom - stack.degrees_of_freedom
+            if (freedom := self.whole.regressors.amplitude_freedom) is not None:
                 # The median serves few columns, which are alike, and many, of which no single one matters.
-                left = np.minimum(np.median(freedom[block.columns], axis=1), left)
+                left = np.minimum(np.median(freedom[stack.columns], axis=1), left)
             left = np.maximum(left, 1.0)
-            weighed = self._weighed(block, self.score_of(block.columns)[:, :, None], np.array([self.chi2]))
-            p = f_test(weighed.squared[:, 0], self.chi2, block.degrees_of_freedom, self.degrees_of_freedom, left)
+            weighed = self._weighed(stack, self._score_of(stack.columns)[:, :, None], np.array([self.chi2]))
+            p = f_test(weighed.squared[:, 0], self.chi2, stack.degrees_of_freedom, self.degrees_of_freedom, left)
             drops, cost = weighed.drops[:, 0], weighed.cost[:, 0]
             scores += [
                 Score(self._candidates[member], float(drops[k]), float(drops[k] / self.chi2),
-                      float(p[k]), float(cost[k]), float(block.share[k]), weighed.estimate[k, :, 0], block.covariance[k],
-                      block.information[k], int(block.degrees_of_freedom[k]), float(left[k]))
-                for k, member in enumerate(block.members)
+                      float(p[k]), float(cost[k]), float(stack.share[k]), weighed.estimate[k, :, 0], stack.covariance[k],
+                      stack.information[k], int(stack.degrees_of_freedom[k]), float(left[k]))
+                for k, member in enumerate(stack.members)
             ]  # fmt: skip
         return sorted(scores, key=lambda score: score.cost)
 
-    def _weighed(self, block: _Block, score: np.ndarray, chi2: np.ndarray) -> _Evaluated:
-        """Evaluate a block's candidates for scores (n_members, d, n_draws), given the model's chi² (n_draws,)."""
-        squared = (block.roots @ score) ** 2
-        estimate = -block.covariance @ score
-        inside = np.clip(estimate, block.bounds[:, 0, :, None], block.bounds[:, 1, :, None])
+    def _weighed(self, stack: _Tested, score: np.ndarray, chi2: np.ndarray) -> _Evaluated:
+        """Evaluate a stack's candidates for scores (n_members, d, n_draws), given the model's chi² (n_draws,)."""
+        squared = (stack.roots @ score) ** 2
+        estimate = -stack.covariance @ score
+        inside = np.clip(estimate, stack.bounds[:, 0, :, None], stack.bounds[:, 1, :, None])
         beyond = estimate - inside
-        against_priors = (block.precision[..., None] * beyond**2).sum(axis=1)
-        lost = (beyond * (block.information @ beyond)).sum(axis=1) + against_priors
-        shrunk = block.value / (block.value + 1)
+        against_priors = (stack.sd[..., None] ** -2.0 * beyond**2).sum(axis=1)
+        lost = (beyond * (stack.information @ beyond)).sum(axis=1) + against_priors
+        shrunk = stack.value / (stack.value + 1)
         drops = np.maximum((squared * shrunk[..., None]).sum(axis=1) - lost, 0.0)
-        fallen, narrowed = explained(squared.transpose(0, 2, 1), block.value[:, None, :])
+        fallen, narrowed = explained(squared.transpose(0, 2, 1), stack.value[:, None, :])
         logs = log_likelihood((fallen - lost) / chi2, narrowed, self.degrees_of_freedom)
-        cost = -2 * mixed(logs) + 2 * np.log(block.scans)[:, None]
+        cost = -2 * mixed(logs) + 2 * np.log([self.variants[place] for place in self._places(stack)])[:, None]
         # Evidence uses the same degrees of freedom for all rivals; those of each enter its p-value.
         return _Evaluated(squared.sum(axis=1), drops, cost, inside)
 
@@ -355,9 +311,9 @@ class ScoreTests(ABC, Generic[H]):
         Return each place's cost (n_draws,), its variants' evidence averaged, and whether any variant passes (n_draws,).
         """
         variants: dict[Place, list[tuple[np.ndarray, np.ndarray]]] = {}
-        for block in self._blocks:
-            weighed, spent = self._weighed(block, score[block.columns], chi2), block.degrees_of_freedom
-            places = [self._candidates[member].cause.place for member in block.members]
+        for stack in self._stacks:
+            weighed, spent = self._weighed(stack, score[stack.columns], chi2), stack.degrees_of_freedom
+            places = self._places(stack)
             tests = np.array([family.scans.get(place, 1.0) for place in places]) * family.places
             left = np.maximum(self.degrees_of_freedom - spent, 1.0)
             threshold = f_threshold(false_alarm, tests, spent, left)
@@ -381,21 +337,21 @@ class ScoreTests(ABC, Generic[H]):
         n = len(r.residual)
         leverage = (model.prediction_root**2).sum(axis=0)
         size = model.settled_residual / np.sqrt(np.maximum(1 - leverage, 0.05))
-        places = list(dict.fromkeys(r.candidates[m].cause.place for block in self._blocks for m in block.members))
+        places = list(dict.fromkeys(place for stack in self._stacks for place in self._places(stack)))
         number = {place: k for k, place in enumerate(places)}
         drawn = [_drawn(rng, n, r.precision, count) for count in np.diff([*range(0, DRAWS, DRAWN_AT_ONCE), DRAWS])]
         signs, pseudo = (np.hstack(part) for part in zip(*drawn, strict=True))
         score, chi2 = model.settled(signs, pseudo, size)
         smallest = np.ones((len(places), DRAWS))
-        for block in self._blocks:
+        for stack in self._stacks:
             # Of a place's variants with equal degrees of freedom, the one with the largest drop has the smallest p-value.
-            keys = np.array([[number[r.candidates[m].cause.place] for m in block.members], block.degrees_of_freedom])
+            keys = np.array([[number[place] for place in self._places(stack)], stack.degrees_of_freedom])
             order = np.lexsort(keys)
             first = np.flatnonzero(np.diff(keys[:, order], axis=1, prepend=-1).any(axis=0))
             place, spent = keys[:, order[first]]
             for start in range(0, DRAWS, DRAWN_AT_ONCE):
                 part = slice(start, start + DRAWN_AT_ONCE)
-                whitened = block.roots @ score[block.columns, part]
+                whitened = stack.roots @ score[stack.columns, part]
                 largest = np.maximum.reduceat((whitened**2).sum(axis=1)[order], first, axis=0)
                 p = f_test(largest, chi2[part], spent, n)  # priors are drawn too: nothing is lost
                 np.minimum.at(smallest[:, part], place, p)
@@ -404,179 +360,72 @@ class ScoreTests(ABC, Generic[H]):
         tests = worth(adjusted.min(axis=0)) if places else 1.0
         return Family(dict(zip(places, scans, strict=True)), tests, MATERIAL * r.posed)
 
-
-@dataclass(frozen=True)
-class Screening(ScoreTests[H]):
-    """Score tests of all candidates against a model's residual."""
-
-    regressors: Regressors[H]
-
-    @property
-    def model(self) -> Screening[H]:
-        """The model itself."""
-        return self
-
-    @cached_property
-    def tested(self) -> np.ndarray:
-        """The indices of all candidates."""
-        return np.arange(len(self.regressors.candidates))
-
-    @property
-    def linear(self) -> Regressors[H]:
-        """The model's own regressors."""
-        return self.regressors
-
-    @cached_property
-    def stacks(self) -> list[Stack]:
-        """All candidates, by their numbers of columns."""
-        r, stacks = self.regressors, []
-        sizes = np.array([len(candidate.columns) for candidate in r.candidates])
-        for d in np.unique(sizes):
-            members = np.flatnonzero(sizes == d)
-            columns = np.array([r.candidates[m].columns for m in members])
-            whole, imitated = self._products.own[columns, :d], self.projected[:, columns].transpose(1, 0, 2)
-            sd = r.prior_sd[columns]
-            moved = np.maximum(np.einsum("mii,mi->m", whole, sd**2), np.finfo(float).tiny)
-            bounds = np.array([r.candidates[m].cause.bounds for m in members])
-            s = whole - imitated.transpose(0, 2, 1) @ imitated
-            stacks.append(Stack(members, columns, sd, moved, s, bounds))
-        return stacks
-
-    def changed(self, columns: np.ndarray) -> float:
-        """Return zero: the stacks are its own."""
-        return 0.0
-
-    def score_of(self, columns: np.ndarray) -> np.ndarray:
-        """Return the score u of columns (n_members, d)."""
-        return np.asarray(self.score[columns])
-
-    @cached_property
-    def _factor(self) -> np.ndarray:
-        """Cholesky factor of the model's information, priors included."""
-        r = self.regressors
-        return np.linalg.cholesky(r.jacobian.T @ r.jacobian + np.diag(r.precision))
-
-    @cached_property
-    def _products(self) -> RegressorProducts:
-        """The products of the regressors that tests need."""
-        return RegressorProducts.of(self.regressors, self.prediction_root, self.settled_residual)
-
-    @property
-    def projected(self) -> np.ndarray:
-        """Projection of the regressors on the model's Jacobian, in whitened coordinates (n_free, n_columns)."""
-        return self._products.projected
-
-    @cached_property
-    def _gradient(self) -> np.ndarray:
-        """Gradient of the fit's objective in the same coordinates; zero at an optimum."""
-        r = self.regressors
-        return np.asarray(scipy.linalg.solve_triangular(self._factor, r.jacobian.T @ r.residual + r.pull, lower=True))
-
-    @cached_property
-    def step(self) -> np.ndarray:
-        """Newton step of the free parameters, a background's amplitudes among them, (n_free,)."""
-        return np.asarray(-scipy.linalg.solve_triangular(self._factor.T, self._gradient, lower=False))
-
-    @property
-    def change(self) -> np.ndarray:
-        """Newton step of the model's free parameters."""
-        return np.delete(self.step, self.regressors.random)
-
-    @cached_property
-    def settled_residual(self) -> np.ndarray:
-        """Residual after the Newton step, (n,)."""
-        return np.asarray(self.regressors.residual + self.regressors.jacobian @ self.step)
-
-    @cached_property
-    def prediction_root(self) -> np.ndarray:
-        """A root R (n_free, n) of the covariance RᵀR of the predicted residuals."""
-        return np.asarray(scipy.linalg.solve_triangular(self._factor, self.regressors.jacobian.T, lower=True))
-
-    def root_covariance(self, parameters: np.ndarray) -> np.ndarray:
-        """Return a root R (n_free, n) of the covariance RᵀR of some free parameters, given by indices."""
-        picked = np.eye(len(self._factor))[:, parameters]
-        return np.asarray(scipy.linalg.solve_triangular(self._factor, picked, lower=True))
-
-    @property
-    def score(self) -> np.ndarray:
-        """Score u of all columns, (n_columns,)."""
-        return self._products.score
-
     @cached_property
     def chi2(self) -> float:
-        """Chi² of the model, priors included, after a Newton step of its parameters."""
-        r = self.regressors
-        return float(r.residual @ r.residual + r.prior_rss - self._gradient @ self._gradient)
-
-    def information(self, columns: np.ndarray) -> np.ndarray:
-        """Return S between some columns, shape (n_columns, n_columns)."""
-        imitated = self.projected[:, columns]
-        return np.asarray(self.regressors.matrix.products(columns) - imitated.T @ imitated)
-
-    def response(self, columns: np.ndarray) -> np.ndarray:
-        """Return S between all columns and some, the change of u by their amplitudes, shape (n_columns, n_own)."""
-        shown = self.regressors.matrix.response(columns)
-        return np.asarray(shown - self.projected.T @ self.projected[:, columns])
-
-    def settled(
-        self, residual: np.ndarray, pull: np.ndarray, size: np.ndarray | None = None
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return u (n_columns, n_draws) and chi² (n_draws,) of residuals (n, n_draws) with the priors' pull (n_free, n_draws).
-
-        If size (n,) is given residuals are multiplied by it, so that draws can be signs, which take little memory.
-        """
-        r, size = self.regressors, np.ones(len(residual)) if size is None else size
-        steps = [slice(start, start + DRAWN_AT_ONCE) for start in range(0, residual.shape[1], DRAWN_AT_ONCE)]
-        score, chi2 = np.zeros((r.matrix.shape[1], residual.shape[1])), (pull**2 / r.precision[:, None]).sum(axis=0)
-        gradient = np.asarray(scipy.linalg.solve_triangular(self._factor, pull, lower=True))
-        for draws in steps:
-            drawn = size[:, None] * residual[:, draws]
-            gradient[:, draws] += self.prediction_root @ drawn
-            chi2[draws] += (drawn**2).sum(axis=0)
-        for rows, x in r.matrix.blocks():
-            predicts = self.prediction_root[:, rows].T
-            for draws in steps:
-                score[:, draws] += x.T @ (size[rows, None] * residual[rows, draws] - predicts @ gradient[:, draws])
-        return score, chi2 - (gradient**2).sum(axis=0)
-
-    def imitation(self, columns: np.ndarray) -> np.ndarray:
-        """Return the change of the model's free parameters by a unit of some columns, (n, n_columns)."""
-        change = -scipy.linalg.solve_triangular(self._factor.T, self.projected[:, columns], lower=False)
-        return np.delete(change, self.regressors.random, axis=0)
-
-    def amplitudes(self, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the posterior probabilities of SIZES (n_sizes,) of some columns, if they act, and for each their amplitudes.
-
-        Means are of shape (n_sizes, n), covariances (n_sizes, n, n).
-        """
-        sd = self.regressors.prior_sd[columns]
-        shown, score = self.information(columns) * np.outer(sd, sd), sd * self.score[columns]
-        fallen, narrowed = explained(*directions(shown, score))
-        logs = log_likelihood(fallen / self.chi2, narrowed, self.degrees_of_freedom) + LOG_PRIOR
-        covariance = np.linalg.inv(shown + np.eye(len(columns)) / SIZES[:, None, None] ** 2)
-        return scipy.special.softmax(logs), -sd * (covariance @ score), covariance * np.outer(sd, sd)
+        """Chi² of the swept model."""
+        return self.whole.chi2 + float(self._sign @ self._way**2)
 
     @cached_property
     def degrees_of_freedom(self) -> float:
-        """Residual degrees of freedom: number of residuals less that of the effective parameters, a background's left out."""
-        r, fixed = self.regressors, self.fixed
-        of_priors = self.fixed_root * np.sqrt(r.precision[fixed])
-        return float(len(r.residual) - len(fixed) + (of_priors**2).sum())
+        """Residual degrees of freedom of the swept model."""
+        whole = self.whole
+        stay = np.flatnonzero(~np.isin(whole.fixed, self.gone))
+        root, precision = whole.fixed_root[:, stay], whole.regressors.precision[whole.fixed[stay]]
+        # A covariance is minus what S is of a parameter, of which no residuals tell beside itself.
+        variance = (root**2).sum(axis=0) - self._sign @ self._swept(root, np.zeros((len(self.come), len(stay)))) ** 2
+        inverse = scipy.linalg.solve_triangular(self._factor, np.eye(len(self.come)), lower=True)
+        of_come = (inverse**2).sum(axis=0) @ self.whole.regressors.prior_sd[self.come] ** -2.0
+        return float(len(whole.regressors.residual) - len(stay) - len(self.come) + precision @ variance + of_come)
 
     @cached_property
-    def fixed(self) -> np.ndarray:
-        """The indices of the free parameters that are no amplitudes of a background."""
-        return np.setdiff1d(np.arange(len(self.regressors.precision)), self.regressors.random)
+    def _root(self) -> np.ndarray:
+        """R⁻ᵀ times a root of the covariance of the parameters that leave, orthonormal rows (n_gone, n_free)."""
+        return np.asarray(np.linalg.qr(self.whole.root_covariance(self.gone))[0].T)
 
     @cached_property
-    def fixed_root(self) -> np.ndarray:
-        """A root R (n_free, n_fixed) of their covariance RᵀR."""
-        return self.root_covariance(self.fixed)
+    def _taken(self) -> np.ndarray:
+        """What these rows are of the columns that come, (n_gone, n_come)."""
+        return np.asarray(self._root @ self.whole.projected[:, self.come])
 
-    @property
-    def narrowed(self) -> float:
-        """Log-determinant of the model's information over its priors': the parameters' Occam factor, minus twice its log."""
-        return float(2 * np.log(self._factor.diagonal()).sum() - np.log(self.regressors.precision).sum())
+    @cached_property
+    def _factor(self) -> np.ndarray:
+        """Cholesky factor of the information, priors included, on the parameters that come."""
+        prior = np.diag(self.whole.regressors.prior_sd[self.come] ** -2.0)
+        return np.linalg.cholesky(self.whole.information(self.come) + self._taken.T @ self._taken + prior)
+
+    def _swept(self, projected: np.ndarray, shown: np.ndarray) -> np.ndarray:
+        """Return the rows W of columns, of parameters that leave and that come, (n_gone + n_come, n).
+
+        projected (n_free, n): their projections on the whole model; shown (n_come, n): their products with the columns that come.
+        """
+        out = self._root @ projected
+        beside = shown - self.whole.projected[:, self.come].T @ projected + self._taken.T @ out
+        return np.vstack([out, scipy.linalg.solve_triangular(self._factor, beside, lower=True)])
+
+    @cached_property
+    def _span(self) -> slice:
+        """The columns from the first to the last that are tested."""
+        columns = [self.whole.regressors.candidates[k].columns for k in self.some]
+        return slice(min((c[0] for c in columns), default=0), max((c[-1] + 1 for c in columns), default=0))
+
+    @cached_property
+    def _rows(self) -> np.ndarray:
+        """The rows W of these columns."""
+        shown = self.whole.regressors.matrix.response(self.come) if len(self.come) else np.zeros((self._span.stop, 0))
+        return self._swept(self.whole.projected[:, self._span], shown[self._span].T)
+
+    @cached_property
+    def _sign(self) -> np.ndarray:
+        """1 for each parameter that leaves, -1 for each that comes."""
+        return np.repeat([1.0, -1.0], [len(self.gone), len(self.come)])
+
+    @cached_property
+    def _way(self) -> np.ndarray:
+        """The same of the residual, h."""
+        triangle = np.linalg.qr(self.whole.root_covariance(self.gone))[1]
+        out = scipy.linalg.solve_triangular(triangle.T, -self.value - self.whole.step[self.gone], lower=True)
+        score = self.whole.score[self.come] + self._taken.T @ out
+        return np.concatenate([out, scipy.linalg.solve_triangular(self._factor, score, lower=True)])
 
 
 def f_test(

@@ -11,9 +11,9 @@ from typing import Any, Generic, Self
 import numpy as np
 
 from calflow.diagnosis.fitted import Fitted
+from calflow.diagnosis.linear_model import LinearModel
 from calflow.diagnosis.regressors import H, Place, Regressors
-from calflow.diagnosis.screening import Family, Score, ScoreTests, Screening, by_place
-from calflow.diagnosis.sweep import Swept
+from calflow.diagnosis.screening import Family, Score, Screening, by_place
 from calflow.effects import Effect
 from calflow.effects.cause import Cause
 
@@ -100,16 +100,16 @@ class Linearisation(Generic[H]):
         return Screened(tuple(tests.scores), family or tests.family(rng), tests.degrees_of_freedom)
 
     @cached_property
-    def whole(self) -> Screening[H]:
-        """The screening of all candidates, beside all causes."""
-        return Screening(self.regressors)
+    def whole(self) -> LinearModel[H]:
+        """The model with all causes."""
+        return LinearModel(self.regressors)
 
     @cached_property
-    def beside(self) -> ScoreTests[H]:
+    def beside(self) -> Screening[H]:
         """Tests of all candidates that the model lacks, beside its causes."""
         return self.tested_with(self.causes)
 
-    def tested_with(self, causes: Sequence[H], where: Collection[Place] = ()) -> ScoreTests[H]:
+    def tested_with(self, causes: Sequence[H], where: Collection[Place] = ()) -> Screening[H]:
         """Return the tests of all other candidates, or those of some places, beside the given causes, linear, without a refit."""
         every, places = self.regressors.candidates, {cause.place for cause in causes}
         there = np.array([not where or c.cause.place in where for c in every])
@@ -119,9 +119,9 @@ class Linearisation(Generic[H]):
         new = [cause for cause in causes if cause not in self.causes]
         come = [c.columns for c in every if c.cause.place in places and c.cause in new]
         out, into = (np.sort(np.concatenate([np.zeros(0, dtype=int), *parts])) for parts in (gone, come))
-        return Swept(self.whole, np.flatnonzero(there), out, self.value[out], into)
+        return Screening(self.whole, np.flatnonzero(there), out, self.value[out], into)
 
-    def apart(self, gone: Sequence[H], where: Collection[Place] = ()) -> ScoreTests[H]:
+    def apart(self, gone: Sequence[H], where: Collection[Place] = ()) -> Screening[H]:
         """Return the tests of all candidates, or those of some places, with some causes removed, beside the others."""
         return self.tested_with([cause for cause in self.causes if cause not in gone], where)
 

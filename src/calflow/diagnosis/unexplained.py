@@ -169,7 +169,7 @@ def unexplained(
 
 
 def _single(fitted: Fitted, rng: np.random.Generator) -> list[UnexplainedStructure]:
-    screening = Screening(fitted.regressors(decoys(fitted)))
+    screening = Screening.of(fitted.regressors(decoys(fitted)))
     family = screening.family(rng)
     tested = []
     for score in screening.scores:
