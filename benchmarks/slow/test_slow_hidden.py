@@ -5,8 +5,23 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pandas as pd
+import pytest
 
-from hidden.test_hidden import BESIDE, TABLE_2, assert_not_named, assert_range_noise, found, only
+from hidden.causes import Hidden
+from hidden.test_frames import IN_TIME, ONE_MOVE
+from hidden.test_hidden import (
+    BESIDE,
+    CLOCK,
+    TABLE_2,
+    assert_faults,
+    assert_not_named,
+    assert_range_noise,
+    assert_silent,
+    case,
+    found,
+    only,
+)
+from hidden.test_joint_causes import IN_JOINTS
 from hidden.test_steps import AT_A_ROW, STEPS, assert_step
 
 
@@ -49,3 +64,39 @@ def test_a_last_joint_that_jumps_is_told_with_the_tool_that_slips(tmp_path):
     seen = found(tmp_path, replace(jump, settings=AT_A_ROW), 31)
     assert_step(seen, jump.hidden[0])
     assert "tool-slip" in seen.could_be(0)
+
+
+def test_friction_with_and_without_load_are_both_found(tmp_path) -> None:
+    """Fails if wind-up that does not vanish without load is taken for one that does, or for backlash alone."""
+    seen = found(tmp_path, case("serial", Hidden("friction-wind-up", 3, 3e-4, 0.3), settings=IN_JOINTS), 11)
+    assert sorted(seen.causes["cause"]) == ["friction-wind-up", "joint-backlash"], seen.causes
+    assert set(seen.causes["joint"]) == {3}
+
+
+def test_play_and_a_hardening_spring_of_a_joint_are_one_curve_of_its_torque(tmp_path) -> None:
+    """Fails if data that show their sum alone are said to show both for certain, or if the model loses one of them."""
+    hidden = Hidden("nonlinear-joint-stiffness", 2, 2e-3), Hidden("torque-backlash", 2, 6e-4)
+    seen = found(tmp_path, case("serial", *hidden, poses=160, settings=IN_JOINTS), 11)
+    assert len(seen.causes) == 1, seen.causes
+    assert (seen.causes.iloc[0]["status"], seen.causes.iloc[0]["numbers"]) == ("one_of", "1;2")
+    assert {h.cause for h in hidden} <= seen.could_be(0)
+    assert seen.causes.iloc[0]["family_probability"] > 0.99
+
+
+def test_a_session_that_was_not_named_is_taken_for_a_step_of_its_family(tmp_path):
+    """Fails if a device that was moved once is called anything but its family's, where no session is told."""
+    seen = found(tmp_path, case("hh800", ONE_MOVE, columns=CLOCK, poses=90, settings=IN_TIME), 21)
+    assert "frame-step" in seen.could_be(0), seen.causes
+    tested = pd.read_csv(seen.folder / "diagnose" / "candidates.csv").set_index("cause")
+    assert "column session" in tested.loc["session-frame", "note"]
+
+
+def test_heavy_tails_are_no_cause(tmp_path):
+    """Fails if noise with heavy tails is taken for a cause."""
+    assert_silent(tmp_path, "heavy", "serial")
+
+
+@pytest.mark.parametrize("faults", [("marker-swap",), ("joint-sign", "unit-mistake")])
+def test_data_faults_are_found_before_the_fit(faults, tmp_path):
+    """Fails if a fault is missed, blamed on good rows, or leads to a false cause."""
+    assert_faults(tmp_path, *faults)

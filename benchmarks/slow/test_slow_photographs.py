@@ -5,19 +5,17 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 
 from calflow.calibration import identify
 from calflow.reporting.sections.verdict import how_sure
+from conftest import in_process
 from effects.boards import BOARD, findings_of, of_plates
 from effects.test_board_bent import assert_bent_and_stretched, bent
 from effects.test_camera_slip import SLIP, assert_slipped, slipped
 from effects.test_lens_growth import CENTRE, FOCAL, assert_grown, findings, warming
+from effects.test_time_offset import ONLY, moving
 from observations.test_camera import study
-
-
-def test_a_camera_that_slipped_is_found_between_its_images(tmp_path):
-    """Fails if the slip is missed, called a device's step, put within an image, or is of another size than the camera's."""
-    assert_slipped(tmp_path, slipped(4, camera=SLIP), "camera-slip")
 
 
 def test_images_that_may_be_before_a_slip_are_judged_nowhere(tmp_path):
@@ -53,3 +51,19 @@ def test_a_plate_that_is_not_flat_and_longer_one_way_is_both(tmp_path):
 def test_two_plates_that_are_as_stated_are_silent(tmp_path):
     """Fails if a worn arm's errors are taken for those of one of two plates, each of which has figures of its own."""
     assert findings_of(tmp_path, of_plates(12, BOARD, BOARD)).empty
+
+
+def test_one_of_two_cameras_that_slipped_is_found(tmp_path):
+    """Fails if the slip is missed beside a camera that stood still, called that one's or a device's step, put within an image or
+    between images of either camera, or is of another size than the hidden one.
+    """
+    made = slipped(4, SLIP, images=40, of=slice(21, None, 2))
+    rows = made.rows.assign(camera=np.where(made.rows["pose"] % 2, "left", "right"))
+    assert_slipped(tmp_path, replace(made, rows=rows), "camera-slip", "the image of pose 20, camera right")
+
+
+def test_an_image_at_the_right_moment_has_no_offset(tmp_path):
+    """Fails if the errors of a worn arm are taken for an offset."""
+    study(tmp_path, moving(4, 0.0), "ur5e", True, ONLY)
+    assert in_process("run", tmp_path / "study.toml", "--out", tmp_path / "runs").code == 0
+    assert pd.read_csv(tmp_path / "runs" / "diagnose" / "findings.csv").empty

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from effects import test_frame_step, test_session_frame, test_tracker_scale
 from hidden.test_steps import assert_predicted_as_of_then
 
@@ -16,9 +18,10 @@ def test_a_wire_that_stands_elsewhere_leaves_the_tracker_where_it_is(tmp_path):
     test_session_frame.assert_told(tmp_path, "of wire")
 
 
-def test_the_zero_of_a_wire_of_known_anchor_is_told(tmp_path):
-    """Fails if a wire's wrong zero is taken for a cause of the robot, or bends it, where the place of its anchor is known."""
-    test_tracker_scale.assert_told(tmp_path, 0.0, 1.2e-3, True)
+@pytest.mark.parametrize("anchor_known", [True, False])
+def test_the_zero_of_a_wire_is_told(anchor_known, tmp_path):
+    """Fails if a wire's wrong zero is taken for a cause of the robot, or bends it, whether or not its anchor's place is known."""
+    test_tracker_scale.assert_told(tmp_path, 0.0, 1.2e-3, anchor_known)
 
 
 def test_a_row_that_states_a_time_is_predicted_by_the_tool_of_then(tmp_path):

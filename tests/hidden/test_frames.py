@@ -67,14 +67,6 @@ def test_sessions_alone_are_no_cause(tmp_path):
     assert found(tmp_path, case("serial", columns=DAYS, poses=90, settings=IN_TIME), 22).table.empty
 
 
-def test_a_session_that_was_not_named_is_taken_for_a_step_of_its_family(tmp_path):
-    """Fails if a device that was moved once is called anything but its family's, where no session is told."""
-    seen = found(tmp_path, case("hh800", ONE_MOVE, columns=CLOCK, poses=90, settings=IN_TIME), 21)
-    assert "frame-step" in seen.could_be(0), seen.causes
-    tested = pd.read_csv(seen.folder / "diagnose" / "candidates.csv").set_index("cause")
-    assert "column session" in tested.loc["session-frame", "note"]
-
-
 def test_a_study_may_state_that_sessions_have_frames(tmp_path):
     """Fails if a study's own frames of sessions are not fitted, or a later stage cannot read them back."""
     only = '[stages.diagnose]\ncatalogue = ["frame-step", "session-frame"]\n'

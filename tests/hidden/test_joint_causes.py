@@ -32,23 +32,6 @@ def test_what_goes_with_the_load_is_found(tmp_path) -> None:
     assert seen.unexplained.empty
 
 
-def test_friction_with_and_without_load_are_both_found(tmp_path) -> None:
-    """Breaks if wind-up that does not vanish without load is taken for one that does, or for backlash alone."""
-    seen = found(tmp_path, case("serial", Hidden("friction-wind-up", 3, 3e-4, 0.3), settings=IN_JOINTS), 11)
-    assert sorted(seen.causes["cause"]) == ["friction-wind-up", "joint-backlash"], seen.causes
-    assert set(seen.causes["joint"]) == {3}
-
-
-def test_play_and_a_hardening_spring_of_a_joint_are_one_curve_of_its_torque(tmp_path) -> None:
-    """Breaks if data that show their sum alone are said to show both for certain, or if the model loses one of them."""
-    hidden = Hidden("nonlinear-joint-stiffness", 2, 2e-3), Hidden("torque-backlash", 2, 6e-4)
-    seen = found(tmp_path, case("serial", *hidden, poses=160, settings=IN_JOINTS), 11)
-    assert len(seen.causes) == 1, seen.causes
-    assert (seen.causes.iloc[0]["status"], seen.causes.iloc[0]["numbers"]) == ("one_of", "1;2")
-    assert {h.cause for h in hidden} <= seen.could_be(0)
-    assert seen.causes.iloc[0]["family_probability"] > 0.99
-
-
 def test_a_drive_that_is_softer_to_one_side_is_no_wave_under_load(tmp_path) -> None:
     """Breaks if stiffness that changes where the load changes its sign is put down to the angle at which it does."""
     seen = found(
