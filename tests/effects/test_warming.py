@@ -8,11 +8,12 @@ import casadi as ca
 import numpy as np
 import pandas as pd
 from numpy.testing import assert_allclose
-from scipy.integrate import solve_ivp
+from scipy.integrate import solve_ivp, trapezoid
 
 import robots
 from calflow.effects.device_growth import StandGrowth
 from calflow.effects.housing_growth import HousingGrowth
+from calflow.effects.warming import IN_SHIFTS, SHIFT, heat_lost
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Row
 
@@ -37,6 +38,22 @@ def test_a_robot_that_stands_cools_as_the_differential_equation_says() -> None:
         )
         assert_allclose(warmth.map(len(at))(at).full().ravel(), solved.y[0], atol=1e-7)
         warm = solved.y[0, -1]
+
+
+def test_what_a_robot_may_have_lost_by_then_is_that_of_shifts_and_of_working_around_the_clock() -> None:
+    """Fails if a warm-up's mean or spread later is not that of robots that stop at a random moment, if they stop at all."""
+    row, warming = Row.symbols(ROBOT), HousingGrowth(ROBOT, 1800.0, (), until=5000.0)
+    assert HousingGrowth.variants(ROBOT, _rows(100.0 * np.arange(51)))[-1].until == 5000.0
+    part = ca.SX([1.0] + [0.0] * (len(warming.declared) - 1))
+    warmth = ca.Function("warmth", [row.time], [warming.warmth(part, row)[0]])
+    for passed in (-1000.0, 600.0, 86400.0):
+        stop = np.linspace(0, max(passed, 0), 200_001)
+        density = IN_SHIFTS * np.exp(-stop / SHIFT) / SHIFT
+        lost = 1 - np.exp(-(stop[-1] - stop) / 1800)
+        mean, square = trapezoid(density * lost, stop), trapezoid(density * lost**2, stop)
+        assert_allclose(float(warmth(5000 + passed)), 1 - np.exp(-(5000 + passed) / 1800) - mean, atol=1e-8)
+        told = [float(value) for value in heat_lost(ca.DM(passed), 1800.0)]
+        assert_allclose(told, [mean, np.sqrt(square - mean**2)], atol=1e-6)
 
 
 def test_pauses_are_those_longer_than_the_shortest_warm_up_and_ten_ordinary_gaps() -> None:

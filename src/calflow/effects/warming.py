@@ -19,6 +19,8 @@ NEVER = ((np.inf, np.inf),)  # in place of no pause, which has fewer parameters
 REFERENCE = 293.15  # K: reference temperature of drawings (ISO 1)
 WARMER = 10.0  # K above 20 degC at which an error that is proportional to these is stated
 WARM_UPS = (900.0, 1800.0, 3600.0, 7200.0)  # s: time constants searched
+SHIFT = 8 * 3600.0  # s: how long a robot that works in shifts works on, on average
+IN_SHIFTS = 0.5  # probability that it does, and does not work around the clock
 
 
 @dataclass(frozen=True)
@@ -27,13 +29,15 @@ class Warming(Effect):
 
     constant is the time constant of the warm-up [s]; 0 stands for a measured temperature. In pauses, each from a time to
     another [s], the robot cools down with the same constant: a body of one heat capacity, whose motors stand meanwhile.
+    Until a time [s] it is known to work, or to rest; later it is as warm as is to be expected of a robot that may stand.
     Each part has one parameter, and with pauses another for the heat with which it came to the first row.
     """
 
     constant: float = 0.0
     pauses: tuple[tuple[float, float], ...] = ()
+    until: float = np.inf
 
-    unnamed: ClassVar[tuple[str, ...]] = ("pauses",)
+    unnamed: ClassVar[tuple[str, ...]] = ("pauses", "until")
     taken_for: ClassVar[tuple[str, ...]] = ("frame-drift",)
     course: ClassVar[str] = "warming up"
     told_by = "measure some poses again when the robot is cold"
@@ -45,7 +49,8 @@ class Warming(Effect):
         if "time" not in data.given:
             return forms
         rests = dict.fromkeys([(), pauses(data)])
-        return (*forms, *(cls(robot, constant, rest) for rest in rests for constant in WARM_UPS))
+        until = np.inf if cls.of_measuring() else _last(data)
+        return (*forms, *(cls(robot, constant, rest, until) for rest in rests for constant in WARM_UPS))
 
     @classmethod
     def asks(cls, robot: Robot, data: Measurements) -> tuple[str, ...]:
@@ -55,7 +60,10 @@ class Warming(Effect):
 
     def later(self, series: Measurements | None) -> Self:
         """Return the same with the pauses of a series that has a clock of its own: it begins as warm as the fitted rows."""
-        return self if series is None or not self.pauses else replace(self, pauses=pauses(series) or NEVER)
+        if series is None or not self.constant:
+            return self
+        rests = pauses(series) or NEVER if self.pauses else ()
+        return replace(self, pauses=rests, until=np.inf if self.of_measuring() else _last(series))
 
     def finer(self, data: Measurements) -> tuple[Self, ...]:
         """Return time constants about this one."""
@@ -92,6 +100,8 @@ class Warming(Effect):
         risen = self._risen(row.time)
         for end, start in self.pauses:
             risen += self._risen(row.time - start) - self._risen(row.time - end)
+        if np.isfinite(self.until):
+            risen -= heat_lost(row.time - self.until, self.constant)[0]
         of_parameters = [risen, 1 - self._risen(row.time)][: len(self.symbols)]
         return ca.reshape(p, len(of_parameters), -1).T @ ca.vertcat(*of_parameters)
 
@@ -108,6 +118,28 @@ class Warming(Effect):
         if self.constant:
             return Variable("time", "h", lambda state, row: row.time, 1 / 3600)
         return Variable("temperature above 20 degC", "K", lambda state, row: row.temperature - REFERENCE)
+
+
+def heat_lost(since: ca.SX, constant: float) -> tuple[ca.SX, ca.SX]:
+    """Return mean and standard deviation of the heat that a robot has lost a time after it was last known to work [s].
+
+    It works around the clock, or in shifts: then it stands from a random moment on (exponential), and cools with its constant.
+    """
+    passed, rate = ca.fmax(0, since), 1 / SHIFT
+
+    def kept(fading: float) -> ca.SX:
+        """Return the mean of exp(-fading · time for which it has stood), zero where it works."""
+        return rate * (ca.exp(-rate * passed) - ca.exp(-fading * passed)) / (fading - rate)
+
+    stands = 1 - ca.exp(-rate * passed)
+    mean = IN_SHIFTS * (stands - kept(1 / constant))
+    square = IN_SHIFTS * (stands - 2 * kept(1 / constant) + kept(2 / constant))
+    return mean, ca.sqrt(ca.fmax(0, square - mean**2))
+
+
+def _last(data: Measurements) -> float:
+    """Return the time of the last row [s]; infinite without times."""
+    return float(data.table["time"].max()) if "time" in data.given else np.inf
 
 
 def warmer(row: Row) -> ca.SX:

@@ -21,7 +21,7 @@ from calflow.effects.base import OF_THE_FRAME, Effect, JointError, Term, effect_
 from calflow.effects.cause import Cause
 from calflow.effects.smooth_curve import Travel
 from calflow.effects.step_change import StepChange
-from calflow.effects.warming import Warming
+from calflow.effects.warming import Warming, heat_lost
 from calflow.estimation.error_model import ErrorModel, SmoothVariances, usual_sizes
 from calflow.estimation.fit import Fit
 from calflow.estimation.needed_conditions import depended_on
@@ -36,7 +36,7 @@ MOMENT = 1.0  # s after the measurement, within which the shift by a cause grows
 FADE = 0.05  # share of a measured travel beyond its ends within which its curve fades
 BEYOND_WAVES = 8  # frequencies of a curve beyond its travel, each with cosine and sine
 NEVER_YET = 1e15, 2e15  # s, between which a step comes that has not come at any row
-SHIFT = 8 * 3600.0  # s: how long a robot works on, on average
+WARM = 100.0  # time constants after which a robot is warm
 BEYOND = 0.1  # share of a joint's travel by which a held-out reading may lie outside the fitted range,
 LEAST_BEYOND = 0.01  # and by so much in any case [rad, or m]: the range of a joint that stood still is none
 
@@ -66,9 +66,9 @@ class Later(Wandering):
 
 @dataclass(frozen=True)
 class Cooling(SmoothFunction):
-    """What a warm-up loses after the measurement's end [s] if the robot stands from some moment on, which nobody knows.
+    """What a warm-up has lost after the measurement's end [s], about the mean of robots that work on and that stand by then.
 
-    The warm-up is given by its effect's id, its figures without pauses (see `Effect.figures_text`), part and fitted growth.
+    The warm-up is given by its effect's id, its figures as of a robot that works (see `Effect.figures_text`), part and growth.
     """
 
     effect: str = ""
@@ -81,19 +81,20 @@ class Cooling(SmoothFunction):
     units, usual = ("1",), 1.0
 
     @cached_property
-    def cause(self) -> Cause:
-        """The warm-up, from the end on."""
+    def warming(self) -> Warming:
+        """The warm-up of a robot that works."""
         kind = effect_class(self.effect)
-        assert kind
-        return Cause(self.robot, kind.of_figures(self.robot, self.once), self.part)
+        assert kind is not None
+        assert issubclass(kind, Warming)
+        return kind.of_figures(self.robot, self.once)
 
     def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
-        """Return the dimensions with the loss at the root of the probability that the robot stands by then."""
+        """Return the dimensions with the standard deviation of the loss."""
         if not row.time.nnz():
             return dims
-        since = ca.fmax(0, row.time - self.end)
-        stands = ca.sqrt(1 - ca.exp(-since / SHIFT))
-        return self.cause.dimensions(self.growth * p * stands, dims, replace(row, time=since))
+        cause, constant = Cause(self.robot, self.warming, self.part), self.warming.constant
+        lost = heat_lost(row.time - self.end, constant)[1]
+        return cause.dimensions(self.growth * p * lost, dims, replace(row, time=ca.SX(WARM * constant)))
 
 
 @dataclass(frozen=True)
@@ -334,7 +335,7 @@ def _beyond_causes(result: Fit, data: Measurements) -> Iterator[SmoothFunction]:
             yield _beyond_rail(cause, effect, result)
         if isinstance(effect, Warming) and effect.constant and not effect.of_measuring():
             growth, end = float(model.values(cause, result.estimate)[0]), float(data.table["time"].max())
-            once = replace(effect, pauses=()).figures_text
+            once = replace(effect, pauses=(), until=np.inf).figures_text
             yield Cooling(data.robot, cause.id, once, cause.part, growth, end)
 
 
