@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import runpy
 import shutil
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
 import calflow as cf
+from first_steps import ARM, FIRST_STEPS, touching
 
-FIRST_STEPS = Path(__file__).parents[2] / "studies" / "first-steps"
-ARM = runpy.run_path(str(FIRST_STEPS / "measured.py"))  # an arm by NumPy and SciPy alone
 KNOCK = np.array([4e-4, -4e-4, 0.0])  # m
 READINGS = [f"q{k}_deg" for k in range(1, 7)]
 
@@ -25,17 +22,6 @@ def lengths(rng: np.random.Generator) -> pd.DataFrame:
     anchor = np.array([1.9, 0.3, -0.2]) + (np.arange(140) >= 70)[:, None] * 2 * KNOCK
     length = np.linalg.norm(ARM["ball"](q) - anchor, axis=1) + rng.normal(0, 5e-5, 140)
     return pd.DataFrame(np.degrees(q), columns=READINGS).assign(length_mm=1e3 * length)
-
-
-def touching(sockets: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Readings (n, 6) [rad] that put the ball into sockets (n, 3) [m]: Newton's steps from anywhere, within the limits."""
-    q, step = rng.uniform(ARM["LOW"], ARM["HIGH"], (len(sockets), 6)), 1e-7
-    while np.abs(off := ARM["ball"](q) - sockets).max() > 1e-8:
-        slopes = [(ARM["ball"](q + step * axis) - sockets - off) / step for axis in np.eye(6)]
-        q = q - np.einsum("nki,ni->nk", np.linalg.pinv(np.stack(slopes, axis=-1)), off)
-        outside = ((q < ARM["LOW"]) | (q > ARM["HIGH"])).any(axis=1)
-        q[outside] = rng.uniform(ARM["LOW"], ARM["HIGH"], (outside.sum(), 6))
-    return q
 
 
 def touches(rng: np.random.Generator) -> pd.DataFrame:

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import runpy
-from pathlib import Path
-from types import SimpleNamespace
-
 import numpy as np
 import pandas as pd
 import pytest
 
 from applied import validate
 from conftest import Folder, without_data
+from first_steps import ARM, FIRST_STEPS, touching
 
-FIRST_STEPS = Path(__file__).parents[2] / "studies" / "first-steps"
-ARM = SimpleNamespace(**runpy.run_path(str(FIRST_STEPS / "measured.py")))
 ANCHOR, WIRE, TOUCH = np.array([1.9, 0.3, -0.2]), 5e-5, 3e-5  # m: of the wire; noise
 Q = [f"q{k}_deg" for k in range(1, 7)]
 STUDY = """
@@ -59,7 +54,7 @@ def calibrated(tmp_path_factory):
 
 def lengths(q, seed, zero=0.0):
     """What the wire shows at readings (n, 6), joint 2 having moved by zero [rad] since."""
-    there = ARM.ball(q + np.array([0, zero, 0, 0, 0, 0]))
+    there = ARM["ball"](q + np.array([0, zero, 0, 0, 0, 0]))
     shown = np.linalg.norm(there - ANCHOR, axis=1) + WIRE * np.random.default_rng(seed).standard_normal(len(q))
     return pd.DataFrame(np.degrees(q), columns=Q).assign(length_mm=1e3 * shown)
 
@@ -67,19 +62,16 @@ def lengths(q, seed, zero=0.0):
 def touches(placements, each, seed):
     """Readings with which the ball is in both sockets of pairs that no fit has seen, from several sides."""
     rng = np.random.default_rng(seed)
-    rows = []
-    for placement in placements:
-        at = rng.uniform([0.3, -0.6, 0.3], [0.8, 0.6, 0.8])
-        for socket, place in (("left", at), ("right", at + ARM.BESIDE)):
-            for _ in range(each):
-                q = ARM.touching(place + TOUCH * rng.standard_normal(3), rng)
-                rows.append({"placement": placement, "socket": socket, **dict(zip(Q, np.degrees(q), strict=True))})
-    return pd.DataFrame(rows)
+    right = np.tile(np.repeat([0, 1], each), len(placements))
+    at = np.repeat(rng.uniform([0.3, -0.6, 0.3], [0.8, 0.6, 0.8], (len(placements), 3)), 2 * each, axis=0)
+    q = touching(at + np.outer(right, ARM["BESIDE"]) + TOUCH * rng.standard_normal(at.shape), rng)
+    named = {"placement": np.repeat(placements, 2 * each), "socket": np.where(right, "right", "left")}
+    return pd.DataFrame(named | dict(zip(Q, np.degrees(q).T, strict=True)))
 
 
 def test_a_wire_judges_the_robot_that_it_calibrated(calibrated):
     """Fails if lengths are refused, are judged as positions, or show no joint that moved by 4 mrad."""
-    q = np.random.default_rng(8).uniform(ARM.LOW, ARM.HIGH, (20, 6))
+    q = np.random.default_rng(8).uniform(ARM["LOW"], ARM["HIGH"], (20, 6))
     calibrated.measure(lengths(q, 9), "lengths.csv")
     sound = calibrated.calflow("validate", calibrated / "runs", calibrated / "lengths.csv", "--tolerance-mm", 1)
     assert (sound.code, sound.out.splitlines()[0]) == (0, "The tolerance is met.")
@@ -121,7 +113,7 @@ def test_a_socket_that_was_touched_once_shows_no_error(calibrated):
 
 def test_rows_are_of_the_series_that_is_named(calibrated):
     """Fails if a file is read as another series than --series names, a wrong name passes, or a right one is told to name it."""
-    q = np.random.default_rng(12).uniform(ARM.LOW, ARM.HIGH, (6, 6))
+    q = np.random.default_rng(12).uniform(ARM["LOW"], ARM["HIGH"], (6, 6))
     calibrated.measure(lengths(q, 13), "few.csv")
     ask = ("validate", calibrated / "runs", calibrated / "few.csv", "--series")
     assert any("length_mm" in told for told in calibrated.refused(*ask, "same-point"))
