@@ -1,8 +1,10 @@
-"""The UR5 that NIST measured, diagnosed as a user does: its device wandered while one series was measured."""
+"""Real robots as their users have them: the UR5 diagnosed, whose device wandered in one series, and next poses of the FANUC."""
 
 from __future__ import annotations
 
-from test_studies import diagnosed, measured_data
+from calflow.stages.measuring_loop import next_poses
+from calflow.study import load_study
+from test_studies import STUDIES, diagnosed, measured_data
 
 
 @measured_data
@@ -13,3 +15,11 @@ def test_real_ur5(tmp_path, monkeypatch):
     )
     assert held.iloc[1] <= 0.101
     assert held.iloc[-1] <= 0.06
+
+
+@measured_data
+def test_without_a_task_the_tool_is_judged_where_it_was_measured():
+    """Fails if millimetres are told of where joint 1 never was, or of a suspicion that stays out of the model."""
+    verdict = next_poses(load_study(STUDIES / "fanuc-r2000"), 2, 3e-4).verdict
+    assert 0.4 * verdict.heldout_rms_mm < verdict.error_mm < 1.2 * verdict.heldout_rms_mm
+    assert any("where it was measured" in note for note in verdict.notes)

@@ -277,10 +277,9 @@ def test_a_frame_that_wanders_as_it_did_is_no_drift(robot):
     assert drift(later, elsewhere, station="known").summary.status == "in place"
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_what_leaves_most_of_the_error_is_no_correction(robot, seed):
+def test_what_leaves_most_of_the_error_is_no_correction(robot):
     """Fails if rows of another robot get a shift to add to a reading, as if the calibration were right again then."""
-    known, rng = robot[0], np.random.default_rng(seed)
+    known, rng = robot[0], np.random.default_rng(0)
     q = candidates(known.model, 60, "load", "E", None, rng)[0]
     frequencies, phases = rng.normal(size=(2, 3, 6))
     data, unlike = checked(known, q, 4), 1e-3 * np.sin(2 * q @ frequencies.T + phases[:, 0])

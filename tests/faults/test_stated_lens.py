@@ -8,18 +8,14 @@ from functools import reduce
 import numpy as np
 import pytest
 
-from calflow.calibration import identify
-from calflow.deployment.in_space import is_no_better
 from calflow.faults.base import correct
 from calflow.faults.stated_lens import stated_lens
-from deployment.test_in_space import missed
 from observations.photographed import UR5E, Optics, Photographs, board, photographed
 from observations.test_camera import lens_stated, study
 
 TRUE = Optics()
 TOO_LONG = replace(TRUE, focal=(1.02 * TRUE.focal[0], 1.02 * TRUE.focal[1]))
 STRAIGHT = replace(TRUE, bend=(0.0, 0.0, 0.0, 0.0, 0.0))
-CATALOGUE = ("joint-eccentricity", "base-compliance", "board-bent")
 READINGS = [f"q{i + 1}_rad" for i in range(6)]
 
 
@@ -56,19 +52,3 @@ def test_only_a_lens_that_images_contradict_is_called_wrong(tmp_path, hidden, bo
         faults = stated_lens(data)
         assert {one.quantity for fault in faults for one in fault.corrections} == wrong
         assert (reduce(correct, faults, data).series[0].setting("focal") is None) == bool(wrong)
-
-
-def test_a_wrong_lens_names_nothing_of_the_robot(tmp_path):
-    """Fails if what a wrong lens leaves is called the robot's, the robot's cause is lost beside it, or the promise is too good.
-
-    Nor may commands, which depend on no lens, be called wrong for it, once for each of its figures.
-    """
-    made = seen(24, True)
-    kept = study(tmp_path, made, "ur5e", True, lens_stated(replace(STRAIGHT, focal=TOO_LONG.focal)))
-    found = identify(kept.robot, kept.measurements(), ["geometry"], starts=1).diagnose(catalogue=CATALOGUE)
-    causes = [(finding.status, finding.cause, finding.joint) for finding in found.findings]
-    assert causes == [("data_fault", "stated-lens", None), ("named", "joint-eccentricity", 3)]
-    assert [told.startswith("Correct the set-up: the stated lens") for told in found.warnings] == [True]
-    rows = found.in_space
-    assert missed(found, made, turned) < 1.6 * rows[-1].rms_mm
-    assert not is_no_better(rows)
