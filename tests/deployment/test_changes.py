@@ -40,13 +40,21 @@ def histories(seed, truths, **how):
 def test_the_prior_is_taken_out():
     """Fails if what the measurements say is still drawn to the prior, or their covariance is not that of least squares."""
     rng = np.random.default_rng(1)
-    design, truth = rng.standard_normal((30, N)), rng.standard_normal(N)
+    design, truth = rng.standard_normal((30, N)) / PRIOR, PRIOR * rng.standard_normal(N)
     information = design.T @ design
     covariance = np.linalg.inv(information + np.diag(PRIOR**-2.0))
     mean = 0.1 * PRIOR
     alone = LikelihoodEstimate.of(covariance @ (design.T @ (design @ truth) + mean / PRIOR**2), covariance, mean, PRIOR)
     np.testing.assert_allclose(alone.value, truth, rtol=1e-4)
-    np.testing.assert_allclose(alone.covariance, np.linalg.inv(information), rtol=1e-4, atol=1e-7)
+    np.testing.assert_allclose(alone.covariance, np.linalg.inv(information), rtol=1e-4, atol=1e-12)
+
+
+def test_an_inexact_covariance_tells_nothing_of_what_was_not_measured():
+    """Fails if a covariance that smooth errors made a little wider than the prior leaves an estimate that is sure of nonsense."""
+    estimate, covariance = 0.02 * PRIOR, 1.001 * np.diag(PRIOR**2)
+    alone = LikelihoodEstimate.of(estimate, covariance, np.zeros(N), PRIOR)
+    assert (np.abs(alone.value) < alone.sd).all()
+    assert not alone.told.any()
 
 
 def test_nothing_that_stayed_is_said_to_have_moved():

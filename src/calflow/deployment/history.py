@@ -12,16 +12,20 @@ from itertools import pairwise
 from typing import Any, Literal
 
 import numpy as np
+import scipy
 
-from calflow.estimation.calibrated_model import CalibratedModel
+from calflow.effects import Effect
+from calflow.estimation.calibrated_model import MANY, CalibratedModel
 from calflow.estimation.difference import Difference, LikelihoodEstimate, comparable
 from calflow.estimation.error_model import root_of
 from calflow.files.deferred import pd
 from calflow.files.tables import StoredResults, column
+from calflow.observations import Observation
 from calflow.robot.parts import Parameter
 
 NULL_DRAWS = 20_000  # simulated calibrations in which nothing moves
 FALSE_ALARM = 0.01
+SURE = 0.95  # probability among the changes of one parameter, from which that is said to have moved
 UNIT = "as `unit` says"
 
 
@@ -112,7 +116,7 @@ def _narrowest(shown: dict[tuple[int, int, int], float], first: int, last: int) 
     return [*_narrowest(shown, first, best[1]), best, *_narrowest(shown, best[1] + 1, last)]
 
 
-Verdict = Literal["in place", "moved", "cannot be told"]
+Verdict = Literal["in place", "moved", "cannot be told", "cannot be seen"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,6 +167,23 @@ class MovedParameter:
 
 
 @dataclass(frozen=True, kw_only=True)
+class LoneChange:
+    """The change of a parameter that, all others being as they were, best explains what moved from one run to the next."""
+
+    parameter: str = column("its name")
+    effect: str = column("id of its effect")
+    joint: int | None = column("number of its joint or link; empty: none")
+    unit: str = column("of the figures in this row (SI)")
+    after: str = column("the run before it moved")
+    before: str = column("the run after")
+    shift: float = column("its change, if nothing else moved", UNIT, sd="sd")
+    sd: float = column("its standard deviation", UNIT)
+    probability: float = column("posterior probability among the changes of one parameter")
+    left_p: float = column("p-value of what it leaves, where nothing else moved")
+    meaning: str = column("what it is, in words")
+
+
+@dataclass(frozen=True, kw_only=True)
 class PresentFigure:
     """Present estimate of a parameter, by all runs since it last moved."""
 
@@ -178,28 +199,50 @@ class PresentFigure:
 
 @dataclass(frozen=True)
 class History(StoredResults):
-    """Calibrations of one robot in order, with changes and present estimates; notes: what was left out."""
+    """Calibrations of one robot in order, with changes and present estimates; notes: what was left out.
+
+    lone: for each run before which something moved, the change of one parameter that explains it best.
+    """
 
     runs: tuple[RunInOrder, ...]
     parameters: tuple[ParameterInRun, ...]
     moved: tuple[MovedParameter, ...]
+    lone: tuple[LoneChange, ...]
     present: tuple[PresentFigure, ...]
     false_alarm: float
     notes: tuple[str, ...]
 
     @property
     def status(self) -> Verdict:
-        """Whether anything moved, and whether it can be attributed to parameters."""
-        if self.moved:
+        """Whether anything moved, and whether it can be attributed to parameters, or could be seen at all."""
+        if self.moved or self.named:
             return "moved"
-        return "cannot be told" if self.nameless else "in place"
+        if self.nameless:
+            return "cannot be told"
+        return "in place" if any(parameter.told for parameter in self.parameters) else "cannot be seen"
+
+    @property
+    def named(self) -> tuple[LoneChange, ...]:
+        """The changes of one parameter that explain all that moved before a run, and that no other one explains as well."""
+        known = self._not_among_moved
+        return tuple(
+            lone
+            for lone in self.lone
+            if lone.before in known and lone.probability >= SURE and lone.left_p > self.false_alarm
+        )
 
     @property
     def nameless(self) -> tuple[RunInOrder, ...]:
         """Runs before which something moved that no single parameter accounts for."""
+        named = {lone.before for lone in self.named}
+        return tuple(run for run in self.runs if run.run in self._not_among_moved - named)
+
+    @property
+    def _not_among_moved(self) -> set[str]:
+        """The names of the runs before which something moved that is not among the parameters that moved for certain."""
         names = [run.run for run in self.runs]
         spans = [(names.index(movement.surely_after), names.index(movement.surely_before)) for movement in self.moved]
-        return tuple(run for k, run in enumerate(self.runs) if run.moved and not any(a < k <= b for a, b in spans))
+        return {run.run for k, run in enumerate(self.runs) if run.moved and not any(a < k <= b for a, b in spans)}
 
     @property
     def table(self) -> pd.DataFrame:
@@ -224,14 +267,19 @@ def history(
         j: max((1 + step.after for step in steps if step.parameter == j), default=0) for j in range(len(parameters))
     }
     told = np.all([run.told for run in alone], axis=0)
+    in_order = _in_order(names, dates, runs, false_alarm / 2)
     return History(
-        _in_order(names, dates, runs, false_alarm / 2),
+        in_order,
         tuple(
             ParameterInRun(run=name, parameter=parameter.name, unit=parameter.unit, told=bool(told[j]),
                            value=parameter.figure + float(run.value[j]), sd=float(run.sd[j]))
             for name, run in zip(names, alone, strict=True) for j, parameter in enumerate(parameters)
         ),
         tuple(_moved(step, parameters[step.parameter], names) for step in steps),
+        tuple(
+            _lone_change(*pair, (before.run, after.run))
+            for pair, (before, after) in zip(pairwise(runs), pairwise(in_order), strict=True) if after.moved
+        ),
         tuple(
             PresentFigure(parameter=parameter.name, unit=parameter.unit, value=parameter.figure + value, sd=sd,
                           since=names[begins[j]], runs=len(runs) - begins[j], recalibrate=begins[j] > 0, told=bool(told[j]))
@@ -243,11 +291,16 @@ def history(
 
 
 def _shared(runs: Sequence[CalibratedModel]) -> list[np.ndarray]:
-    """Return for each run the indices of the robot's parameters that are comparable in all runs."""
+    """Return for each run the indices of the robot's parameters that are comparable in all runs.
+
+    Those of a curve are not among them: alone they mean nothing, and without their priors nothing beside them is determined.
+    """
     first = runs[0]
-    device = {int(k) for observation in first.model.observations for k in first.model.columns(observation)}
+    curves = [cause for cause in first.model.causes if len(first.model.columns(cause)) > MANY]
+    parts: tuple[Observation | Effect, ...] = (*first.model.observations, *curves)
+    others = {int(k) for part in parts for k in first.model.columns(part)}
     pairs = [dict(comparable(first, run)) for run in runs]
-    shared = [k for k in pairs[0] if k not in device and all(k in places for places in pairs)]
+    shared = [k for k in pairs[0] if k not in others and all(k in places for places in pairs)]
     return [np.array([places[k] for k in shared], dtype=int) for places in pairs]
 
 
@@ -270,6 +323,30 @@ def _in_order(
             p=test and test[2], moved=test is not None and test[2] <= limit,
         )
         for name, date, test in zip(names, dates, tests, strict=True)
+    )  # fmt: skip
+
+
+def _lone_change(first: CalibratedModel, second: CalibratedModel, names: tuple[str, str]) -> LoneChange:
+    """Return the change of one parameter that best explains how two calibrations differ, all others being as they were.
+
+    A change shows in the second estimate as far as its measurements, and not the prior, determine it. Each is as large a priori as
+    the parameter's own error.
+    """
+    difference = Difference.of(first, second)
+    whitening, whitened = difference.whitening, difference.whitening @ difference.value
+    own, sd = second.covariance[np.ix_(difference.second, difference.second)], first.model.prior_sd[difference.first]
+    shown = whitening @ (np.eye(len(sd)) - own / sd**2)
+    information = (shown**2).sum(axis=0)
+    shift = shown.T @ whitened / information
+    gained = shift**2 * information
+    evidence = (gained - np.log1p(information * sd**2)) / 2
+    best = int(evidence.argmax())
+    parameter, (chi2, freedom, _) = first.model.parameters[difference.first[best]], difference.joint
+    return LoneChange(
+        parameter=parameter.name, effect=parameter.effect, joint=parameter.joint or None, unit=parameter.unit,
+        after=names[0], before=names[1], shift=float(shift[best]), sd=float(information[best] ** -0.5),
+        probability=float(1 / np.exp(evidence - evidence[best]).sum()),
+        left_p=float(scipy.stats.chi2.sf(chi2 - gained[best], max(1, freedom - 1))), meaning=parameter.meaning,
     )  # fmt: skip
 
 
@@ -298,6 +375,6 @@ def _notes(names: Sequence[str], runs: Sequence[CalibratedModel], parameters: Se
     if left:
         yield (
             f"not compared: {', '.join(left[:12])}{f' and {len(left) - 12} more' if len(left) > 12 else ''}; they are not of all "
-            "runs, of joints where the runs have different causes (state the same in the effects of every study), of the measuring "
-            "device, at a bound, or count from where each run placed base or tool"
+            "runs, of joints where the runs have different causes (state the same in the effects of every study), of a curve, of "
+            "the measuring device, at a bound, or count from where each run placed base or tool"
         )

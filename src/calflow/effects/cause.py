@@ -13,6 +13,7 @@ import numpy as np
 from calflow.effects.base import ActingEffect, Effect
 from calflow.measurements.measurements import Measurements
 from calflow.robot.parts import Parameter
+from calflow.robot.robot import Robot
 
 
 def _of_its_effect(name: str) -> Any:
@@ -62,6 +63,10 @@ class Cause(ActingEffect):
     def later(self, series: Measurements | None) -> Self:
         """Return the cause for rows measured later."""
         return replace(self, effect=self.effect.later(series))
+
+    def on(self, robot: Robot) -> Self:
+        """Return the cause of another robot, with priors of the usual sizes."""
+        return replace(self, effect=replace(self.effect, robot=robot), scale=1.0)
 
     @property
     def n_parameters(self) -> int:

@@ -6,6 +6,7 @@ Also the likelihood of the measurements alone: an estimate and its covariance wi
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import scipy
@@ -14,9 +15,9 @@ from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.model import Model
 from calflow.robot.parts import Parameter
 
-# Variance of the difference over the sum of both, below which two calibrations know only their common prior.
-TELLING = 1e-7
-UNDETERMINED = 1e-10  # information over the prior's, below which measurements do not determine a direction
+# Information over the prior's below which measurements do not determine a direction. A covariance with smooth errors, linearised,
+# is right to a per cent or so: what is left of less, once the prior is removed, is that error.
+DETERMINED = 1e-2
 
 
 @dataclass(frozen=True)
@@ -52,17 +53,23 @@ class Difference:
         """Standard deviations of the differences (n,)."""
         return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
 
+    @cached_property
+    def whitening(self) -> np.ndarray:
+        """Matrix (n_directions, n) to the directions that the measurements determine, each with standard deviation 1."""
+        if not len(self.value):
+            return np.empty((0, 0))
+        own = np.sqrt(np.diag(self.independent_covariance))
+        scale = np.outer(own, own)
+        share, vectors = scipy.linalg.eigh(self.covariance / scale, self.independent_covariance / scale)
+        telling = share > DETERMINED
+        return np.asarray((vectors.T / own)[telling] / np.sqrt(share[telling])[:, None])
+
     @property
     def joint(self) -> tuple[float, int, float]:
         """Chi² of all differences jointly, its degrees of freedom, and its p-value."""
-        if not len(self.value):
-            return 0.0, 0, 1.0
-        scale = np.sqrt(np.outer(np.diag(self.independent_covariance), np.diag(self.independent_covariance)))
-        share, vectors = scipy.linalg.eigh(self.covariance / scale, self.independent_covariance / scale)
-        telling = share > TELLING
-        along = (vectors.T @ (self.value / np.sqrt(np.diag(self.independent_covariance))))[telling]
-        squared = float((along**2 / share[telling]).sum())
-        return squared, int(telling.sum()), float(scipy.stats.chi2.sf(squared, max(1, int(telling.sum()))))
+        freedom = len(self.whitening)
+        squared = float(((self.whitening @ self.value) ** 2).sum())
+        return squared, freedom, float(scipy.stats.chi2.sf(squared, max(1, freedom)))
 
 
 def comparable(first: CalibratedModel, second: CalibratedModel) -> list[tuple[int, int]]:
@@ -100,7 +107,7 @@ def _stated(parameter: Parameter) -> tuple[str, float, float, float]:
 class LikelihoodEstimate:
     """Estimate (n,) and covariance (n, n) from the measurements alone; prior_sd (n,) are the priors' standard deviations.
 
-    Along a direction that the measurements do not determine the variance is the prior's over UNDETERMINED.
+    Along a direction that the measurements do not determine the variance is the prior's over DETERMINED.
     """
 
     value: np.ndarray
@@ -119,7 +126,7 @@ class LikelihoodEstimate:
         scale = np.outer(prior_sd, prior_sd)
         variance, vectors = scipy.linalg.eigh(covariance / scale)
         posterior = 1 / np.maximum(variance, np.finfo(float).tiny)
-        information = np.maximum(posterior - 1, UNDETERMINED)
+        information = np.maximum(posterior - 1, DETERMINED)
         along = vectors.T @ ((estimate - prior_mean) / prior_sd)
         value = prior_mean + prior_sd * (vectors @ (posterior / information * along))
         return LikelihoodEstimate(value, scale * ((vectors / information) @ vectors.T), prior_sd)

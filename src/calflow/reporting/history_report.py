@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from calflow.deployment.history import History, MovedParameter, ParameterInRun, Verdict
-from calflow.files.words import effect_words, first_up, listed, plural, quantity, readable, rounded
+from calflow.files.words import capped, effect_words, first_up, listed, plural, quantity, readable, rounded
 from calflow.reporting.blocks import Paragraph, Part, Plot, Table, cover, headed, in_a_line, noted
 from calflow.reporting.style import ACCENT, DARK, panels, turned
 
@@ -16,6 +16,7 @@ VERDICTS: dict[Verdict, str] = {
     "in place": "Nothing has moved between these calibrations that they could show.",
     "moved": "Something has moved between these calibrations.",
     "cannot be told": "Something has moved, but which parameter is not clear.",
+    "cannot be seen": "Nothing shows, but these calibrations could hardly show anything.",
 }
 PARAMETERS_DRAWN, ACROSS = 9, 3  # parameters drawn, and panels per row
 PARAMETERS_NAMED = 15  # parameters in a sentence
@@ -32,6 +33,7 @@ def history_report(history: History, title: str) -> list[Part]:
         *cover("History of a robot", title, [Paragraph(runs)], VERDICTS[history.status], history_lines(history)[1:]),
         *([Plot("history", _course(history), CAPTION, history.results.tables["parameters.csv"])] if history.parameters else []),
         *headed("What moved", _moved_table(history), where=history.moved),
+        *headed("What one change would explain", _lone_table(history), where=history.lone),
         *headed("From run to run", _runs(history)),
         *noted("What was left out", history.notes),
     ])]  # fmt: skip
@@ -40,6 +42,12 @@ def history_report(history: History, title: str) -> list[Part]:
 def history_lines(history: History) -> list[str]:
     """Return the verdict in sentences, the shortest first."""
     lines = [VERDICTS[history.status], *(f"{first_up(_moved(moved))}." for moved in history.moved)]
+    lines += [
+        f"{first_up(lone.meaning)} ({lone.parameter}) moved between {lone.after} and {lone.before} by "
+        f"{quantity(lone.shift, lone.sd, lone.unit)}: alone it explains all that changed (probability {capped(lone.probability)} "
+        "among changes of one parameter)."
+        for lone in history.named
+    ]
     lines += [
         f"Before {change.run} something moved (chance {change.p:.1g} otherwise), but the measurements do not show which parameter."
         for change in history.nameless
@@ -76,6 +84,15 @@ def _moved_table(history: History) -> Table:
     return Table(("parameter", "of", "runs", "shift", "in sd", "p of all"), rows, "lllrrr")
 
 
+def _lone_table(history: History) -> Table:
+    rows = [
+        (lone.parameter, effect_words(lone.effect), f"{lone.after} → {lone.before}", quantity(lone.shift, lone.sd, lone.unit),
+         capped(lone.probability), f"{lone.left_p:.1g}")
+        for lone in history.lone
+    ]  # fmt: skip
+    return Table(("parameter", "of", "runs", "shift if alone", "probability", "p of the rest"), rows, "lllrrr")
+
+
 def _runs(history: History) -> Table:
     rows = [
         (run.run, run.date or "–", "–" if run.chi2 is None else f"{rounded(run.chi2)} of {run.freedom}",
@@ -88,6 +105,7 @@ def _runs(history: History) -> Table:
 def _shown(history: History, courses: dict[str, list[ParameterInRun]]) -> list[str]:
     """Return the parameters to draw: those that moved, then those that differ most between runs, if determined."""
     moved = [moved.parameter for moved in sorted(history.moved, key=lambda moved: -abs(moved.in_sd))]
+    moved += [lone.parameter for lone in history.named if lone.parameter in courses]
     spread: dict[str, float] = {}
     for name, course in courses.items():
         if course[0].told:

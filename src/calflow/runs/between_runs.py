@@ -22,11 +22,19 @@ from calflow.deployment.comparison import (
     Setting,
 )
 from calflow.deployment.history import FALSE_ALARM, History, history
+from calflow.diagnosis.fitted import Fitted
+from calflow.effects.cause import Cause
+from calflow.effects.wording import place_name
+from calflow.estimation.accuracy import leading_errors
+from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.difference import Difference
-from calflow.files.problems import Problem, refuse, refuse_any
+from calflow.estimation.noise import averaged, repeats_scatter
+from calflow.files.problems import InputError, Problem, refuse, refuse_any
+from calflow.files.words import listed
 from calflow.run_folder import CalibratedFolder, is_measured, robot_digest
 
 DIFFERENT = 0.01  # family-wise significance level of differences
+MOST_NAMED = 6  # causes in a note
 
 
 def compare_runs(*runs: Calibration) -> Comparison:
@@ -211,8 +219,63 @@ def history_of_runs(*runs: Calibration, false_alarm: float = FALSE_ALARM) -> His
     ]
     refuse_any(problems)
     rng = np.random.default_rng(runs[0].seed)
-    result = history(names, dates, runs, false_alarm, rng)
-    return replace(result, notes=(*result.notes, *_doubts(runs, names)))
+    models, notes = with_all_causes(runs, names)
+    result = history(names, dates, models, false_alarm, rng)
+    return replace(result, notes=(*notes, *result.notes, *_doubts(runs, names)))
+
+
+def with_all_causes(runs: Sequence[Calibration], names: Sequence[str]) -> tuple[Sequence[CalibratedModel], list[str]]:
+    """Return the runs' models, each with the causes of all: those that lack some are fitted again. With notes on that.
+
+    What a joint's figures are depends on what else it does in a model. Of each cause the first run's form is taken; causes of the
+    measuring, and those that began at some row, remain those of each run.
+    """
+    every: dict[tuple[str, ...], Cause] = {}
+    for cause in (cause for run in runs for cause in run.model.causes if _stays(cause)):
+        every.setdefault((*cause.place, cause.variant if cause.effect.side_by_side else ""), cause)
+    models: list[CalibratedModel] = []
+    changed = []
+    for run, name in zip(runs, names, strict=True):
+        wanted = [cause.on(run.model.robot) for cause in every.values()]
+        if set(wanted) == {cause for cause in run.model.causes if _stays(cause)}:
+            models.append(run)
+            continue
+        try:
+            models.append(_refitted(run, wanted))
+        except InputError as error:
+            missing = f"{name} cannot be fitted again with the causes of all runs: {error.problems[0]}"
+            return runs, [f"{missing}. Joints with different causes are not compared"]
+        changed.append(name)
+    words = listed([place_name(cause.id, cause.joint, cause.part) for cause in every.values()], MOST_NAMED)
+    told = (
+        f"{listed(changed)} {'was' if len(changed) == 1 else 'were'} fitted again with the causes of all runs: {words}"
+    )
+    return models, [told] if changed else []
+
+
+def _stays(cause: Cause) -> bool:
+    """Whether a cause is the robot's own, in all its runs, and not of the measuring or of a moment."""
+    return not (cause.effect.of_measuring() or cause.effect.dated)
+
+
+def _refitted(run: Calibration, causes: Sequence[Cause]) -> CalibratedModel:
+    """Return a run's model fitted again with these causes of the robot, as far as its rows can show them.
+
+    Raises:
+        InputError: its measurements are not there any more.
+    """
+    train = run.data.only(run.data.train)
+    plain = [effect for effect in run.model.effects if not (isinstance(effect, Cause) and _stays(effect))]
+    shown = [cause for cause in causes if not type(cause.effect).lacking(run.model.robot, train)]
+    model = replace(run.model, effects=(*plain, *shown))
+    started = replace(run, model=model, estimate=run.model.handed_on(run.estimate, model))
+    scattered = repeats_scatter(train, leading_errors(run.model, run.estimate, train))
+    train, noise = averaged(train, replace(run.noise(train), scatter=scattered))
+    fitted = Fitted.of(started, train, noise).sharing()
+    return replace(
+        started, model=fitted.model, estimate=fitted.fit.estimate, covariance=fitted.covariance,
+        at_bound=fitted.fit.at_bound, errors=fitted.errors,
+    )  # fmt: skip
 
 
 def _doubts(runs: Sequence[Calibration], names: Sequence[str]) -> Iterator[str]:
