@@ -4,21 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import reduce
+from functools import partial, reduce
 from itertools import combinations
 from typing import Annotated, Literal, Self
 
+import casadi as ca
 import numpy as np
 from pydantic import Field as Rule
 from pydantic import model_validator
 
 from calflow.design.skeleton import Line, Skeleton, box_distances, line_lengths, segment_distances, skeleton_lines
 from calflow.files.toml import Angle, Length, Lengths3, Record, Unit
-from calflow.model import Model
+from calflow.model import Model, over_rows
 from calflow.robot.frames import placement_matrix
 from calflow.robot.robot import Robot
 
 RELATIVE_RADIUS = 0.04  # of a link, relative to the stretched arm: typical of the library's robots
+RANGE, ELEVATION, ACCEPTANCE = "range", "elevation", "acceptance of the reflector"  # rules of a line of sight
 TOUCHING = 1e-9  # m: distance below which a line intersects a body, by rounding
 
 
@@ -229,11 +231,29 @@ def _in_drawing(cell: Cell, robot: Robot, points: np.ndarray) -> np.ndarray:
     return points if cell.frame == "base" else points @ stands[:3, :3].T + stands[:3, 3]
 
 
-def _views(cell: Cell, robot: Robot, at: Skeleton) -> Iterator[tuple[CellStation, np.ndarray]]:
-    """Yield each station, and the vectors (n, 3) from the reflector to it, in the base frame."""
+def _stations(cell: Cell, robot: Robot) -> Iterator[tuple[CellStation, np.ndarray]]:
+    """Yield each station, and its place (3,) in the base frame."""
     stands = _base_pose(robot)
     for station in cell.stations:
-        yield station, (np.array(station.origin) - stands[:3, 3]) @ stands[:3, :3] - at.marker
+        yield station, (np.array(station.origin) - stands[:3, 3]) @ stands[:3, :3]
+
+
+def lines_of_sight(
+    cell: Cell, robot: Robot, point: ca.SX, flange: ca.SX
+) -> Iterator[tuple[str, ca.SX, tuple[float, float]]]:
+    """Yield the differentiable constraints of each line of sight: the rule, an expression [m, sine or cosine], and its bounds.
+
+    point (3,), flange (3, 3): the reflector, and the orientation of its flange, in the base frame.
+    """
+    axis = flange @ ca.DM(cell.reflector_axis) / np.linalg.norm(cell.reflector_axis)
+    for station, place in _stations(cell, robot):
+        way = ca.DM(place) - point
+        distance = ca.norm_2(way)
+        elevations = np.clip([station.elevation_min, station.elevation_max], -np.pi / 2, np.pi / 2)
+        yield RANGE, distance, (station.range_min, station.far)
+        yield ELEVATION, -ca.dot(ca.DM(_base_pose(robot)[2, :3]), way) / distance, tuple(np.sin(elevations))
+        if cell.acceptance is not None:
+            yield ACCEPTANCE, ca.dot(axis, way) / distance, (np.cos(cell.acceptance), np.inf)
 
 
 def _obstacles(cell: Cell, start: np.ndarray, end: np.ndarray) -> Iterator[np.ndarray]:
@@ -261,24 +281,13 @@ def _torques_allowed(cell: Cell, model: Model, conditions: np.ndarray, at: Skele
         yield (np.abs(torque[:, :, 0]) <= cell.torque_share * np.array(rated)).all(axis=1)
 
 
-def _in_range(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) -> Iterator[np.ndarray]:
-    for station, way in _views(cell, model.robot, at):
-        distance = np.linalg.norm(way, axis=1)
-        yield (distance >= station.range_min) & (distance <= station.far)
-
-
-def _at_elevation(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) -> Iterator[np.ndarray]:
-    up = _base_pose(model.robot)[2, :3]
-    for station, way in _views(cell, model.robot, at):
-        elevation = np.arcsin(np.clip(-way @ up / np.linalg.norm(way, axis=1).clip(1e-12), -1, 1))
-        yield (elevation >= station.elevation_min) & (elevation <= station.elevation_max)
-
-
-def _reflector_visible(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) -> Iterator[np.ndarray]:
-    if cell.acceptance is not None:
-        axis = at.flange @ (np.array(cell.reflector_axis) / np.linalg.norm(cell.reflector_axis))
-        for _, way in _views(cell, model.robot, at):
-            yield (axis * way).sum(axis=1) >= np.cos(cell.acceptance) * np.linalg.norm(way, axis=1)
+def _seen(rule: str, cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) -> Iterator[np.ndarray]:
+    nothing, point, flange = ca.SX.sym("p", 0), ca.SX.sym("point", 3), ca.SX.sym("flange", 3, 3)
+    for name, value, (least, most) in lines_of_sight(cell, model.robot, point, flange):
+        if name == rule:
+            sight = ca.Function("sight", [nothing, point, flange], [ca.densify(value)])
+            ((values,),) = over_rows(sight, np.zeros(0), at.marker.T, at.flange.transpose(2, 1, 0).reshape(9, -1))
+            yield (values >= least) & (values <= most)
 
 
 def _no_self_collision(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) -> Iterator[np.ndarray]:
@@ -300,7 +309,8 @@ def _clear_of_obstacles(cell: Cell, model: Model, conditions: np.ndarray, at: Sk
 
 
 def _unobstructed(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) -> Iterator[np.ndarray]:
-    for _, way in _views(cell, model.robot, at) if cell.line_of_sight else ():
+    for _, place in _stations(cell, model.robot) if cell.line_of_sight else ():
+        way = place - at.marker
         length = np.linalg.norm(way, axis=1, keepdims=True).clip(1e-12)
         start, end = at.marker + way * np.minimum(1, cell.sight_from / length), at.marker + way
         for a, b, radius in _capsules(cell, model.robot, at, at.lines[:-1]):
@@ -312,9 +322,7 @@ def _unobstructed(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton
 RULES: Mapping[str, Callable[[Cell, Model, np.ndarray, Skeleton], Iterator[np.ndarray]]] = {
     "another configuration": _same_configuration,
     "payload": _torques_allowed,
-    "range": _in_range,
-    "elevation": _at_elevation,
-    "acceptance of the reflector": _reflector_visible,
+    **{rule: partial(_seen, rule) for rule in (RANGE, ELEVATION, ACCEPTANCE)},
     "links that touch each other": _no_self_collision,
     "floor, boxes or cylinders": _clear_of_obstacles,
     "line of sight": _unobstructed,

@@ -10,14 +10,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from calflow.design.cell import Cell
+from calflow.design.cell import lines_of_sight
 from calflow.design.optimality import Criterion, information
 from calflow.design.planned import SelectionRequest
 from calflow.design.skeleton import reflector
 from calflow.model import Model
-from calflow.robot.frames import placement
-from calflow.robot.mechanism import DEAD_POINT, base_place
-from calflow.robot.robot import Robot
+from calflow.robot.mechanism import DEAD_POINT
 
 ITERATIONS = 60
 STEP_SHARES = (1.0, 0.5, 0.25, 0.1)  # shares of a step tried, since constraints unknown to IPOPT may forbid it
@@ -31,26 +29,6 @@ OPTIONS: dict[str, Any] = {
     "ipopt.sb": "yes",
     "print_time": False,
 }
-
-
-def cell_constraints(cell: Cell, robot: Robot, marker: str, q: ca.SX) -> tuple[list[ca.SX], list[np.ndarray]]:
-    """Return expressions of driven joint angles q (n_joints,), each (n,), with bounds (n, 2) [m, or of a cosine]."""
-    point, flange = reflector(robot, marker, q)
-    stands = placement(base_place(robot))
-    place, axis = stands[:3, :3] @ point + stands[:3, 3], stands[:3, :3] @ flange @ ca.DM(cell.reflector_axis)
-    held: list[ca.SX] = []
-    bounds: list[np.ndarray] = []
-    for station in cell.stations:
-        way = place - ca.DM(station.origin)
-        distance = ca.norm_2(way)
-        held.append(ca.vertcat(distance, way[2] / distance))
-        bounds.append(
-            np.array([[station.range_min, station.far], np.sin([station.elevation_min, station.elevation_max])])
-        )
-        if cell.acceptance is not None:
-            held.append(-ca.dot(way, axis) / distance / np.linalg.norm(cell.reflector_axis))
-            bounds.append(np.array([[np.cos(cell.acceptance), np.inf]]))
-    return held, bounds
 
 
 def refined_poses(
@@ -116,8 +94,9 @@ def _program(
     if robot.loop is not None:
         held, limits = [*held, cosine], [*limits, np.array([[-DEAD_POINT, DEAD_POINT]])]
     if request.cell is not None:
-        views, within = cell_constraints(request.cell, robot, request.marker, ca.DM(robot.reading_matrix) @ q)
-        held, limits = [*held, *views], [*limits, *within]
+        seen, flange = reflector(robot, request.marker, ca.DM(robot.reading_matrix) @ q)
+        for _, value, within in lines_of_sight(request.cell, robot, seen, flange):
+            held, limits = [*held, value], [*limits, np.array([within])]
     constraints = ca.Function("constraints", [q], [ca.vertcat(*held)])
 
     matrix = ca.SX.sym("matrix", *prior.shape)
