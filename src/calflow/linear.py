@@ -236,15 +236,13 @@ class Solution:
     @cached_property
     def effective_parameters(self) -> float:
         """Effective number of parameters, which the data rather than the priors determine."""
-        scaled = (self.design * self.prior_sd)[:, ~self.at_bound]
-        shown = np.linalg.svd(scaled, compute_uv=False) ** 2
-        return float((shown / (shown + 1)).sum())
+        shares = self.covariance.diagonal() / self.prior_sd**2
+        return float((1 - shares)[~self.at_bound].sum())
 
     @property
     def excess(self) -> np.ndarray:
         """Sizes of the residuals (n,) over the limit of normal errors of the others' median size (1 %, over all rows)."""
-        scaled, n = (self.design * self.prior_sd)[:, ~self.at_bound], len(self.residual)
-        leverage = np.einsum("ip,pi->i", scaled, np.linalg.solve(scaled.T @ scaled + np.eye(scaled.shape[1]), scaled.T))
+        n, leverage = len(self.residual), np.vecdot(self.design @ self.covariance, self.design)
         size = np.abs(self.residual) / np.sqrt(np.maximum(1 - leverage, 0.05))
         freedom = max(1.0, MEDIAN_EFFICIENCY * (n - self.effective_parameters))
         usual = np.median(size) / scipy.stats.norm.ppf(0.75)
@@ -252,11 +250,9 @@ class Solution:
 
     def narrowed(self, columns: np.ndarray) -> float:
         """Return the log determinant of some parameters' covariance in units of their priors, without those at a bound."""
-        free = ~self.at_bound
-        scaled = (self.design * self.prior_sd)[:, free]
-        tested = np.isin(np.flatnonzero(free), columns)
-        covariance = np.linalg.inv(scaled.T @ scaled + np.eye(len(tested)))[np.ix_(tested, tested)]
-        return float(np.linalg.slogdet(covariance)[1])
+        free = columns[~self.at_bound[columns]]
+        scale = np.outer(self.prior_sd[free], self.prior_sd[free])
+        return float(np.linalg.slogdet(self.covariance[np.ix_(free, free)] / scale)[1])
 
     @property
     def misfit(self) -> float:

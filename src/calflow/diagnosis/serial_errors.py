@@ -21,6 +21,8 @@ from itertools import product
 import numpy as np
 import scipy
 
+from calflow.estimation.variance_components import NormalEquations
+
 RATIO = (1e-2, 1e3)  # bounds of the process's variance over the white noise's
 KEPT = (0.01, 0.99)
 SHORTEST, LONGEST = 0.3, 10.0  # bounds of the length, over the smallest gap and over the sum of all gaps
@@ -129,33 +131,24 @@ class RestrictedLikelihood:
     level: float
     degrees_of_freedom: float
 
-    def variance(self, errors: SerialErrors | None) -> float:
-        """Return the maximum-likelihood variance of the errors."""
-        return self._judged(errors)[0]
-
-    def cost(self, errors: SerialErrors | None) -> float:
-        """Return minus twice the restricted log-likelihood."""
-        return self._judged(errors)[1]
-
     @cached_property
     def _both(self) -> np.ndarray:
         """Design and residual side by side, (n, n_parameters + 1)."""
         return np.column_stack([self.design, self.residual])
 
-    @cached_property
-    def _prior(self) -> np.ndarray:
-        """What the priors add to the products of design and residual, (n_parameters + 1, n_parameters + 1)."""
-        both = np.column_stack([np.eye(len(self.pull)), self.pull])
-        return np.asarray(self.level**2 * both.T @ both)
+    def variance(self, errors: SerialErrors | None) -> float:
+        """Return the maximum-likelihood variance of the errors."""
+        return self._equations(errors).restricted_likelihood(self.degrees_of_freedom)[0]
 
-    def _judged(self, errors: SerialErrors | None) -> tuple[float, float]:
+    def cost(self, errors: SerialErrors | None) -> float:
+        """Return minus twice the restricted log-likelihood."""
+        restricted = self._equations(errors).restricted_likelihood(self.degrees_of_freedom)[1]
+        return restricted + (errors.log_determinant if errors else 0.0)
+
+    def _equations(self, errors: SerialErrors | None) -> NormalEquations:
         both = self._both if errors is None else errors.whitened(self._both)
-        products = both.T @ both + self._prior
-        factor = np.linalg.cholesky(products[:-1, :-1])
-        settled = scipy.linalg.lapack.dtrtrs(factor, products[:-1, -1], lower=1)[0]
-        variance = max(float(products[-1, -1] - settled @ settled) / self.degrees_of_freedom, 1e-300)
-        cost = self.degrees_of_freedom * np.log(variance) + 2 * np.log(factor.diagonal()).sum()
-        return variance, float(cost) + (errors.log_determinant if errors else 0.0)
+        flat = np.full(len(self.pull), self.level**2)
+        return NormalEquations(both.T @ both, len(both)).with_prior(self.pull, flat)
 
     def likeliest(self, order: RowOrder) -> LikelyErrors | None:
         """Return the likeliest serial errors; None where independent errors are about as likely."""

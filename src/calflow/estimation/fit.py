@@ -18,6 +18,7 @@ from calflow.estimation.accuracy import observing
 from calflow.estimation.lack_of_fit import Evidence, LackOfFit, lack_of_fit
 from calflow.estimation.least_squares import LeastSquares, Loss, rho, rho_slope
 from calflow.estimation.noise import LEAST_SCATTER, Noise, averaged, representative
+from calflow.estimation.variance_components import NormalEquations
 from calflow.files.units import RADIAN
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
@@ -431,7 +432,7 @@ class IntraclassLikelihood:
 
     def level(self, correlation: float) -> float:
         """Return the estimated variance of the whitened errors, given their correlation (1: the noise was as assumed)."""
-        return float(self._factor(correlation)[-1, -1] ** 2 / self.freedom)
+        return self._equations(correlation).restricted_likelihood(self.freedom)[0]
 
     @cached_property
     def _costs(self) -> np.ndarray:
@@ -439,11 +440,11 @@ class IntraclassLikelihood:
         return np.array([self._cost(correlation) for correlation in CORRELATIONS])
 
     def _cost(self, r: float) -> float:
-        diagonal, others = np.log(self._factor(r).diagonal()), self.markers - 1
-        spread = self.number @ (others * np.log1p(-r) + np.log1p(others * r))
-        return float(2 * (self.freedom * diagonal[-1] + diagonal[:-1].sum()) + spread)
+        others = self.markers - 1
+        log_determinant = float(self.number @ (others * np.log1p(-r) + np.log1p(others * r)))
+        return self._equations(r).restricted_likelihood(self.freedom)[1] + log_determinant
 
-    def _factor(self, r: float) -> np.ndarray:
-        """Cholesky factor (p + 1, p + 1) of M's products whitened by r; its last entry squared is the residual sum of squares."""
+    def _equations(self, r: float) -> NormalEquations:
+        """Return those of the errors whitened by r."""
         shared = np.tensordot(r / (1 + (self.markers - 1) * r), self.summed, 1)
-        return np.linalg.cholesky((self.each - shared) / (1 - r) + self.prior)
+        return NormalEquations((self.each - shared) / (1 - r) + self.prior, int(self.number @ self.markers))
