@@ -172,6 +172,16 @@ def test_why_an_image_is_left_out_is_said(tmp_path):
     assert in_process("detect", *names, "--target", board, "--into", tmp_path / "study").code == 2
 
 
+def test_markers_are_no_circles(tmp_path):
+    """Fails if the squares of markers pass for a plain grid of circles, whose size and points are then nonsense."""
+    image, _ = rendered(flat_picture(KINDS["apriltags"]), 0.5, np.random.default_rng(3))
+    cv2.imwrite(str(tmp_path / "tags.png"), image)
+    circles = written(tmp_path, kind="circles", columns=4, rows=3, size_mm=50)
+    found = detect_targets([tmp_path / "tags.png"], circles)
+    assert not len(found.table)
+    assert "markers, as of DICT_APRILTAG_36h11, where circles should be" in found.left_out["tags.png"]
+
+
 def test_pictures_and_standstills_that_are_there_twice_and_other_boards_are_said(tmp_path):
     """Fails if a copied picture or one of two boards alike is taken, another board goes unsaid, or a standstill is two poses."""
     said, rng = KINDS["charuco"], np.random.default_rng(5)

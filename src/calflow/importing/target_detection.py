@@ -6,6 +6,7 @@ has x across its columns, y down its rows, z away from the viewer; pixel coordin
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -303,7 +304,31 @@ def _circles(cv2: Any, printed: TargetFile, grey: np.ndarray) -> Detected | str:
         if max(size) < LARGER * float(np.median(sizes)):
             return "no circle at a corner is larger than the others"
         grid = turned[int(np.argmax(size))]
-    return _of_grid(grid, printed.size or 0.0)
+    return _markers_among(cv2, grey, grid) or _of_grid(grid, printed.size or 0.0)
+
+
+def _markers_among(cv2: Any, grey: np.ndarray, grid: np.ndarray) -> str:
+    """The message that markers stand where a grid (rows, columns, 2) [px] has circles, or an empty string.
+
+    Their squares, slanted and blurred, are as round as the circles of a photograph.
+    """
+    spots = grid.reshape(-1, 2).astype(np.float32)
+    outline = cv2.convexHull(spots)
+    for name in {
+        re.sub(r"_[0-9]+$", "", name): name for name in _dictionaries(cv2)
+    }.values():  # of each sort the largest
+        every = cv2.aruco.ArucoDetector(_dictionary(cv2, name)).detectMarkers(grey)[0]
+        among = [four for four in every if _holds(cv2, outline, [four.reshape(4, 2).mean(axis=0)])]
+        on = sum(_holds(cv2, four.reshape(4, 2), spots) for four in every)
+        if max(len(among), on) >= FEWEST_IMAGE_POINTS:
+            what = 'is it one of kind = "charuco" or "markers"?'
+            return f"shows {plural(len(every), 'marker')}, as of {name}, where circles should be: {what}"
+    return ""
+
+
+def _holds(cv2: Any, outline: np.ndarray, points: Sequence[np.ndarray] | np.ndarray) -> int:
+    """The number of points [px] within an outline."""
+    return sum(cv2.pointPolygonTest(outline, tuple(map(float, point)), False) >= 0 for point in points)
 
 
 def _faced(grid: np.ndarray) -> np.ndarray:
