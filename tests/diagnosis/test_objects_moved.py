@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -39,9 +40,18 @@ def test_what_is_touched_may_be_knocked(tmp_path):
     assert_knocked(tmp_path, "sockets", touches, 36)
 
 
+def first_steps(tmp_path) -> Path:
+    """A copy of the first steps' studies that are fitted from one start."""
+    folder = Path(shutil.copytree(FIRST_STEPS, tmp_path / "study"))
+    for study in ("wire.toml", "sockets.toml"):
+        with (folder / study).open("a", encoding="utf-8") as file:
+            file.write("\n[stages.identify]\nstarts = 1\n")
+    return folder
+
+
 def assert_knocked(tmp_path, study: str, rows: Callable[[np.random.Generator], pd.DataFrame], moment: int) -> None:
     """What was knocked is told alone, at its moment and as far as it moved; benchmarks/slow has a wire's anchor."""
-    folder = shutil.copytree(FIRST_STEPS, tmp_path / "study")
+    folder = first_steps(tmp_path)
     rows(np.random.default_rng(1)).to_csv(folder / f"{study}.csv", index=False)
     found = cf.run(cf.load_study(folder / f"{study}.toml"), tmp_path / "run").tables["diagnose/findings.csv"]
     step = found[found["cause"] == "frame-step"].iloc[0]
@@ -53,7 +63,7 @@ def assert_knocked(tmp_path, study: str, rows: Callable[[np.random.Generator], p
 
 def test_held_out_rows_about_a_step_are_not_judged(tmp_path):
     """Fails if held-out rows of which the fitted ones do not tell whether the anchor had been knocked count as errors."""
-    folder = shutil.copytree(FIRST_STEPS, tmp_path / "study")
+    folder = first_steps(tmp_path)
     row = np.arange(140)
     held = (row % 4 == 0) | (abs(row - 70) < 5)
     lengths(np.random.default_rng(2)).assign(split=np.where(held, "holdout", "train")).to_csv(

@@ -51,7 +51,7 @@ def measured(zeros: np.ndarray, n: int = 60) -> tuple[np.ndarray, np.ndarray]:
 def calibrated(robot: cf.Robot, zeros: np.ndarray, parameters: cf.Parameters | None = None) -> cf.Calibration:
     readings, points = measured(zeros)
     data = cf.Measurements.from_arrays(robot, readings, points, sigma=SIGMA).split(holdout=0.3, seed=1)
-    return cf.identify(robot, data, ["geometry"], parameters=parameters)
+    return cf.identify(robot, data, ["geometry"], parameters=parameters, starts=1)
 
 
 ASSEMBLED = np.deg2rad([0.0, -2.4, 2.6, -1.0, 1.8, 0.0])

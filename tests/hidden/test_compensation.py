@@ -18,6 +18,7 @@ CASE = Case(
     columns=("approach", "sigma"),
     effects=("geometry", "joint-compliance", "joint-backlash"),
     workflow="paper-table",
+    settings="[stages.identify]\nstarts = 1\n",
     seed=3,
 )
 

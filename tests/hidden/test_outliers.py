@@ -8,7 +8,8 @@ import pandas as pd
 from conftest import in_process
 from hidden.case import Case, write_case
 
-FEW = '[stages.diagnose]\ncatalogue = ["joint-backlash", "joint-eccentricity", "frame-step", "link-torsion"]\n'
+FEW = "[stages.identify]\nstarts = 1\n\n"
+FEW += '[stages.diagnose]\ncatalogue = ["joint-backlash", "joint-eccentricity", "frame-step", "link-torsion"]\n'
 ROWS, SIGMAS = (37, 90), (12.0, 30.0)
 
 

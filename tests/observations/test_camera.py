@@ -52,7 +52,7 @@ def study(folder, made: Photographs, robot: str, in_hand: bool, more: str = ""):
     (folder / "robot.toml").write_text(said, encoding="utf-8")
     on = {"camera": "tool", "target": "world"} if in_hand else {"camera": "world", "target": "tool"}
     text = 'name = "seen"\nrobot = "robot.toml"\nworkflow = "diagnose"\nseed = 1\neffects = ["geometry"]\n\n'
-    text += f'[measurements]\nfile = "measurements.csv"{SETTINGS.format(**on)}{more}'
+    text += f'[stages.identify]\nstarts = 1\n\n[measurements]\nfile = "measurements.csv"{SETTINGS.format(**on)}{more}'
     (folder / "study.toml").write_text(text, encoding="utf-8")
     return load_study(folder / "study.toml")
 
@@ -303,7 +303,7 @@ def test_a_known_tool_is_where_it_is_said_to_be(tmp_path):
     rng = np.random.default_rng(2)
     made = photographed(UR5E, True, 24, rng, points=COARSE)
     data = study(tmp_path, made, "ur5e", True).measurements()
-    found = cf.identify(data.robot, data, ["geometry"])
+    found = cf.identify(data.robot, data, ["geometry"], starts=1)
     assert [row.fixed for row in found.parameters.rows if row.part == "tool"] == [True] * 3
     told = found.predict(data.joints[:1])
     assert (told.sd < 5e-3).all()
@@ -469,7 +469,7 @@ def test_a_task_is_promised_what_teaching_the_tool_leaves(tmp_path):
     data = study(
         tmp_path, photographed(UR5E, True, 24, np.random.default_rng(5), points=COARSE), "ur5e", True
     ).measurements()
-    found = cf.identify(data.robot, data, ["geometry"])
+    found = cf.identify(data.robot, data, ["geometry"], starts=1)
     drawn, fitted = found.sample(ess=200), data.only(data.train)
     task = fitted.only(~fitted.table.duplicated("pose").to_numpy())
     places = taught(found, task, fitted)
