@@ -314,9 +314,8 @@ def _markers_among(cv2: Any, grey: np.ndarray, grid: np.ndarray) -> str:
     """
     spots = grid.reshape(-1, 2).astype(np.float32)
     outline = cv2.convexHull(spots)
-    for name in {
-        re.sub(r"_[0-9]+$", "", name): name for name in _dictionaries(cv2)
-    }.values():  # of each sort the largest
+    largest = {re.sub(r"_[0-9]+$", "", name).lower(): name for name in _dictionaries(cv2)}  # of each sort
+    for name in largest.values():
         every = cv2.aruco.ArucoDetector(_dictionary(cv2, name)).detectMarkers(grey)[0]
         among = [four for four in every if _holds(cv2, outline, [four.reshape(4, 2).mean(axis=0)])]
         on = sum(_holds(cv2, four.reshape(4, 2), spots) for four in every)
