@@ -105,7 +105,7 @@ def test_one_that_imitates_two_gives_way_to_them():
 def test_a_second_block_is_judged_beside_the_first(hidden_blocks):
     """Breaks if a found block's share of the readings counts as uneven noise in the correction for the number of tests."""
     found_blocks = []
-    for seed in range(20):
+    for seed in range(8):
         rng = np.random.default_rng([7, seed])
         common = rng.standard_normal((100, 1))
         drives = np.sqrt(0.1) * rng.standard_normal((100, 12)) + np.sqrt(0.9) * common
@@ -290,7 +290,7 @@ def test_errors_that_hang_together_make_no_name():
 def test_gross_readings_are_told_and_only_they():
     """Fails if five wrong readings that hide a heater pass unsaid, under other numbers, or if sound readings are called wrong."""
     alarms = 0
-    for seed in range(30):
+    for seed in range(10):
         rng = np.random.default_rng([3, seed])
         wrong, order = rng.choice(N, 5, replace=False), rng.permutation(N)
         reading, sound = HEATER * 0.1 + SIGMA * rng.standard_normal((2, N))
@@ -300,13 +300,13 @@ def test_gross_readings_are_told_and_only_they():
         ]
         assert set(apart[0]) >= set(wrong.tolist())
         alarms += (len(apart[0]) > len(wrong)) + (len(apart[1]) > 0)
-    assert alarms <= binom.isf(0.001, 60, 0.02)
+    assert alarms <= binom.isf(0.001, 20, 0.02)
 
 
 def test_gross_readings_hide_no_cause():
     """Fails if five wrong readings of 20 to 60 standard deviations hide a heater that is found without them, or are one."""
     found, false = 0, 0
-    for seed in range(20):
+    for seed in range(6):
         rng = np.random.default_rng([4, seed])
         wrong, gross = rng.choice(N, 5, replace=False), rng.uniform(20, 60, 5) * rng.choice([-1, 1], 5)
         heated, sound = HEATER * 0.2 + SIGMA * rng.standard_normal(N), SIGMA * rng.standard_normal(N)
@@ -314,8 +314,8 @@ def test_gross_readings_hide_no_cause():
             reading[wrong] += SIGMA * gross
         found += [each.name for each in diagnose_linear(-heated, COURSE, [switching()], rng=rng).findings] == ["heater"]
         false += bool(diagnose_linear(-sound, COURSE, [switching()], rng=rng).findings)
-    assert found >= 18
-    assert false <= binom.isf(0.001, 20, 0.02)
+    assert found >= 5
+    assert false <= binom.isf(0.001, 6, 0.02)
 
 
 @pytest.mark.parametrize("prior_sd", [0.05, 0.1])

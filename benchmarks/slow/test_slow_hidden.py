@@ -7,6 +7,7 @@ from dataclasses import replace
 import pandas as pd
 import pytest
 
+from hidden.backgrounds import Background
 from hidden.causes import Hidden
 from hidden.test_frames import IN_TIME, ONE_MOVE
 from hidden.test_hidden import (
@@ -22,6 +23,7 @@ from hidden.test_hidden import (
     only,
 )
 from hidden.test_joint_causes import IN_JOINTS
+from hidden.test_measuring import SIGMA, measured
 from hidden.test_steps import AT_A_ROW, STEPS, assert_step
 
 
@@ -100,3 +102,12 @@ def test_heavy_tails_are_no_cause(tmp_path):
 def test_data_faults_are_found_before_the_fit(faults, tmp_path):
     """Fails if a fault is missed, blamed on good rows, or leads to a false cause."""
     assert_faults(tmp_path, *faults)
+
+
+def test_it_does_not_stop_where_a_smooth_background_keeps_the_tool_off(tmp_path):
+    """Fails if what no catalogue has is taken for nothing, and the loop stops though the true error is above the tolerance."""
+    tolerance = 2.7 * SIGMA
+    _, verdict, error = measured(tmp_path, Background("shared", 2 * SIGMA, 7), tolerance)
+    assert error > 1.1 * tolerance
+    assert verdict.status == "measure"
+    assert verdict.error_most_mm > 1e3 * error

@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pandas as pd
+import pytest
 
 from calflow.calibration import identify
+from calflow.deployment.in_space import is_no_better
 from calflow.reporting.sections.verdict import how_sure
 from conftest import in_process
+from deployment.test_in_space import missed
 from effects.boards import BOARD, findings_of, of_plates
 from effects.test_board_bent import assert_bent_and_stretched, bent
 from effects.test_camera_slip import SLIP, assert_slipped, slipped
 from effects.test_lens_growth import CENTRE, FOCAL, assert_grown, findings, warming
 from effects.test_time_offset import ONLY, moving
+from observations.photographed import UR5E, board, photographed
 from observations.test_camera import study
+from observations.test_camera_next import eccentric
+from observations.test_wrong_size import assert_not_doubted
 
 
 def test_images_that_may_be_before_a_slip_are_judged_nowhere(tmp_path):
@@ -67,3 +74,45 @@ def test_an_image_at_the_right_moment_has_no_offset(tmp_path):
     study(tmp_path, moving(4, 0.0), "ur5e", True, ONLY)
     assert in_process("run", tmp_path / "study.toml", "--out", tmp_path / "runs").code == 0
     assert pd.read_csv(tmp_path / "runs" / "diagnose" / "findings.csv").empty
+
+
+def test_a_tool_that_nobody_knows_is_no_error_of_the_makers_robot(tmp_path):
+    """Fails if a tool that may be anywhere, which both robots are taught alike, makes the calibrated one seem the nearer."""
+    rng = np.random.default_rng(6)
+    made = photographed(UR5E, True, 11, rng, worn=UR5E.worn(rng, 3e-4, 1.5e-4))
+    kept, nearer = study(tmp_path, made, "ur5e", True), []
+    for known in (True, False):
+        robot = replace(kept.robot, markers={"tool": replace(kept.robot.markers["tool"], known=known)})
+        nearer.append(identify(robot, kept.measurements(), ["geometry"], starts=1).in_space[-1].better)
+    assert nearer[0] < 0.8
+    assert nearer[1] == pytest.approx(nearer[0], abs=0.1)
+
+
+def test_what_a_board_errs_by_is_carried_to_the_tool(tmp_path):
+    """Fails if a plate bowed by 1 mm leaves the promise as it is for what is white or the arm's."""
+    rng = np.random.default_rng(1)
+    flat = board()
+    bowed = flat + np.outer((flat[:, 0] / flat[:, 0].max() - 0.5) ** 2, [0, 0, 4e-3])
+    arm = UR5E.worn(rng, 3e-4, 1.5e-4)
+    made = photographed(UR5E, True, 20, rng, points=bowed, worn=arm)
+    made.rows["px_z_mm"] = 0.0
+    kept = study(tmp_path, made, "ur5e", True)
+    found = identify(kept.robot, kept.measurements(), ["geometry"], starts=1)
+    rows = found.in_space
+    assert 0.8 < missed(found, made) / rows[-1].rms_mm < 1.3
+    assert not is_no_better(rows)
+
+
+def test_the_tools_unknown_point_is_no_error_where_next_poses_are_asked_for(tmp_path):
+    """Fails if a tool whose point nobody knows, and that is to be taught, counts as an error of the arm."""
+    eccentric(tmp_path)
+    answer = in_process("next", tmp_path / "study.toml", "--tolerance-mm", "1", "--out", tmp_path / "next")
+    assert answer.code == 0, answer.err
+    verdict = json.loads((tmp_path / "next" / "verdict.json").read_text(encoding="utf-8"))
+    assert 0.02 < verdict["error_mm"] < 1.0
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_lengths_that_err_each_in_its_own_way_do_not_contradict_a_board(seed, tmp_path):
+    """Fails if a board that is as stated is doubted since an arm was put together with lengths 8 mm off."""
+    assert_not_doubted(tmp_path, seed)

