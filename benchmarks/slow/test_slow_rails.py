@@ -1,11 +1,10 @@
-"""Rails that are twisted far more than rails are, measured in part, wavy or warm: told as what they are."""
+"""Rails that are twisted far more than rails are, measured in part, or warm: told as what they are."""
 
 from __future__ import annotations
 
 from math import pi
 
 import numpy as np
-import pytest
 
 from calflow import Measurements, identify
 from effects.test_axis_straightness import ON_A_RAIL, SIGMA, TRAVEL, drawn, measured, points
@@ -47,19 +46,6 @@ def test_beyond_the_measured_rail_the_promise_is_as_wide_as_its_curves():
     error = there.position - points(new, off(new), 0.8003)
     assert (np.abs(error) < 1.96 * there.sd).mean() > 0.9
     assert 0.7 < np.sqrt((there.sd**2).sum() / (error**2).sum()) < 2.5
-
-
-def test_a_wave_along_the_rail_is_told_by_its_way():
-    """Fails if what a rack and its pinion repeat has no name, or another period or size than it has."""
-    rng = np.random.default_rng(5)
-    q = drawn(150, rng)
-    wave = np.zeros((150, 6))
-    wave[:, 2] = 1.2e-4 * np.cos(2 * pi * q[:, 0] / 0.412 + 0.7)
-    fit = identify(ON_A_RAIL, measured(q, wave, rng), ("geometry",), starts=1)
-    (found,) = fit.diagnose(catalogue=["axis-straightness", "periodic-joint-error", "gear-ratio-error"]).findings
-    assert (found.cause, found.joint, found.unit) == ("periodic-joint-error", 1, "m")
-    assert found.estimate == pytest.approx(1.2e-4, rel=0.1)
-    assert found.detail.endswith("on a slide every 412 mm")
 
 
 def test_a_rack_that_grows_is_told_from_a_device_that_wanders():

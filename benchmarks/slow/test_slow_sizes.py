@@ -15,9 +15,9 @@ def test_intervals_hold_sizes_beyond_the_usual(over_usual, over_error):
     assert_held(over_usual, over_error)
 
 
-@pytest.mark.parametrize("cause", ["gear-transmission-error", "joint-eccentricity"])
+@pytest.mark.parametrize("cause", ["joint-eccentricity", "tool-deflection"])
 def test_an_arm_s_cause_many_times_its_usual_size_comes_back(cause, tmp_path):
-    """Fails if gears or an encoder, ten or twenty times off what is usual, are missed, or told as far less."""
+    """Fails if an encoder or an adapter, ten or twenty times off what is usual, are missed, or told as far less."""
     assert_comes_back(tmp_path, cause)
 
 

@@ -112,7 +112,9 @@ def test_commands_beyond_the_measured_range_are_told(finished, asked):
 
 def test_time_counts_from_where_the_fit_s_did(small, monkeypatch):
     """Fails if a warm-up is predicted as if the first row asked for stood at the start of the measurements."""
-    monkeypatch.setattr(ThermalGrowth.__init__, "__defaults__", (1800.0, (), np.inf, False))  # by time, not by temperature
+    monkeypatch.setattr(
+        ThermalGrowth.__init__, "__defaults__", (1800.0, (), np.inf, False)
+    )  # by time, not by temperature
     small.measure(small.rows.assign(time_s=[5e8 + 60.0 * i for i in range(80)]))
     small.edit("study.toml", ('"joint-compliance"', '"thermal-growth"'))
     small.edit("quick.toml", ('"identify", "sample"', '"identify"'))

@@ -81,12 +81,12 @@ def assert_held(over_usual: float, over_error: float) -> None:
 
 
 def test_an_arm_s_cause_many_times_its_usual_size_comes_back(tmp_path: Path):
-    """Fails if an adapter ten or twenty times off what is usual is missed, or told as far less."""
-    assert_comes_back(tmp_path, "tool-deflection")
+    """Fails if a gear ten or twenty times off what is usual is missed, or told as far less."""
+    assert_comes_back(tmp_path, "gear-transmission-error")
 
 
 def assert_comes_back(tmp_path: Path, cause: str) -> None:
-    """A cause far larger than usual is found, and as large as it is; benchmarks/slow has gears and an encoder."""
+    """A cause far larger than usual is found, and as large as it is; benchmarks/slow has an encoder and an adapter."""
     size, case = ON_ARM[cause]
     write_case(tmp_path, case, np.random.default_rng(0))
     study = cf.load_study(tmp_path / "study.toml")

@@ -110,6 +110,19 @@ def test_a_curve_is_free_at_the_ends_of_its_travel(length: float):
     assert (sd[[0, 2]] > 0.6).all()
 
 
+def test_a_wave_along_the_rail_is_told_by_its_way():
+    """Fails if what a rack and its pinion repeat has no name, or another period or size than it has."""
+    rng = np.random.default_rng(5)
+    q = drawn(150, rng)
+    wave = np.zeros((150, 6))
+    wave[:, 2] = 1.2e-4 * np.cos(2 * pi * q[:, 0] / 0.412 + 0.7)
+    fit = identify(ON_A_RAIL, measured(q, wave, rng), ("geometry",), starts=1)
+    (found,) = fit.diagnose(catalogue=["axis-straightness", "periodic-joint-error", "gear-ratio-error"]).findings
+    assert (found.cause, found.joint, found.unit) == ("periodic-joint-error", 1, "m")
+    assert found.estimate == pytest.approx(1.2e-4, rel=0.1)
+    assert found.detail.endswith("on a slide every 412 mm")
+
+
 def test_a_straight_rail_is_left_alone():
     """Fails if a rail's straightness is seen in noise, or in too few places to tell."""
     rng = np.random.default_rng(4)

@@ -1,4 +1,4 @@
-"""Whole runs killed at random moments. The whole campaign is benchmarks/faults.py."""
+"""A whole run killed at a random moment. The whole campaign is benchmarks/faults.py."""
 
 from __future__ import annotations
 
