@@ -560,7 +560,7 @@ def _asked(question: str) -> Any:
 
     def ask(self: ActingEffect, *about: Any) -> Any:
         """Return what the effect that acts says."""
-        return getattr(self.acting(ca.SX(len(self.declared), 1))[0], question)(*about)
+        return getattr(self.acting(ca.SX(len(self.declared), 1), _symbols(self.robot)[1])[0], question)(*about)
 
     return ask
 
@@ -570,7 +570,7 @@ def _delegated(place: str) -> Any:
 
     def act(self: ActingEffect, p: ca.SX, *around: Any) -> Any:
         """Call the method of the effect that acts, with its parameters."""
-        effect, values = self.acting(p)
+        effect, values = self.acting(p, next(each for each in around if isinstance(each, Row)))
         return getattr(effect, place)(values, *around)
 
     return act
@@ -581,8 +581,8 @@ class ActingEffect(Effect):
     """An effect that delegates its action to another one, whose parameters it maps its own to."""
 
     @abstractmethod
-    def acting(self, p: ca.SX) -> tuple[Effect, ca.SX]:
-        """Return the effect that acts and its parameters, given the column vector of this effect's."""
+    def acting(self, p: ca.SX, row: Row) -> tuple[Effect, ca.SX]:
+        """Return the effect that acts and its parameters at a row, given the column vector of this effect's."""
 
     completing, concerns, undecided, is_noise, of_measuring = map(
         _asked, ("completing", "concerns", "undecided", "is_noise", "of_measuring")

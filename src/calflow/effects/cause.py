@@ -12,6 +12,7 @@ import numpy as np
 
 from calflow.effects.base import ActingEffect, Effect
 from calflow.measurements.measurements import Measurements
+from calflow.robot.mechanism import Row
 from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
 
@@ -97,7 +98,7 @@ class Cause(ActingEffect):
         own = (self.effect.declared[k] for k in self.effect.parts[self.part])
         return tuple(replace(parameter, prior_sd=self.scale * parameter.prior_sd) for parameter in own)
 
-    def acting(self, p: ca.SX) -> tuple[Effect, ca.SX]:
+    def acting(self, p: ca.SX, row: Row) -> tuple[Effect, ca.SX]:
         """Return the effect and all its parameters, those of other parts zero."""
         whole = ca.SX(len(self.effect.declared), 1)
         whole[self.effect.parts[self.part]] = p
@@ -130,6 +131,6 @@ class Carried(ActingEffect):
         """None."""
         return ()
 
-    def acting(self, p: ca.SX) -> tuple[Effect, ca.SX]:
+    def acting(self, p: ca.SX, row: Row) -> tuple[Effect, ca.SX]:
         """Return the cause and its fixed values."""
         return self.cause, ca.SX(ca.DM(self.values))

@@ -17,7 +17,7 @@ import numpy as np
 import scipy
 
 from calflow.effects.axis_straightness import AxisStraightness, about_carriage
-from calflow.effects.base import OF_THE_FRAME, Effect, JointError, Term, effect_class
+from calflow.effects.base import OF_THE_FRAME, ActingEffect, Effect, JointError, Term, effect_class
 from calflow.effects.cause import Cause
 from calflow.effects.smooth_curve import Travel
 from calflow.effects.step_change import StepChange
@@ -98,7 +98,7 @@ class Cooling(SmoothFunction):
 
 
 @dataclass(frozen=True)
-class Undated(SmoothFunction):
+class Undated(ActingEffect, SmoothFunction):
     """A step of the robot between two fitted rows, at a row in the time between: it acts already, or does not.
 
     The step is given by its effect's id, its figures (see `Effect.figures_text`), part and fitted values.
@@ -125,18 +125,10 @@ class Undated(SmoothFunction):
         """The same, which is still to come at any row."""
         return Cause(self.robot, replace(self._step, between=NEVER_YET), self.part)
 
-    def _values(self, p: ca.SX, row: Row) -> ca.SX:
-        """Return its values times the standard deviation of whether it is to come."""
+    def acting(self, p: ca.SX, row: Row) -> tuple[Effect, ca.SX]:
+        """Return the step that is to come, with its values times the standard deviation of whether it is."""
         to_come = self._step.to_come(row)
-        return ca.DM(self.values) * p * ca.sqrt(to_come * (1 - to_come))
-
-    def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
-        """Return the dimensions as they were before the step, as far as it may be to come."""
-        return self._before.dimensions(self._values(p, row), dims, row)
-
-    def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
-        """Return the deflection, likewise."""
-        return self._before.deflection(self._values(p, row), state, row, still)
+        return self._before, ca.DM(self.values) * p * ca.sqrt(to_come * (1 - to_come))
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 
 from calflow.effects import Effect
-from calflow.effects.base import ITS_TORQUE, JointError, Term
+from calflow.effects.base import ITS_TORQUE, ActingEffect, JointError, Term
 from calflow.effects.board_bent import REACH, bow
 from calflow.effects.thermal_growth import GROWTH_SD, grown
 from calflow.effects.tracker_scale import TrackerScale
@@ -208,7 +208,7 @@ WALKING: dict[str, Callable[[Robot], Effect]] = {
 
 
 @dataclass(frozen=True)
-class Wandering(SmoothFunction):
+class Wandering(ActingEffect, SmoothFunction):
     """A step of a quantity's random walk with time, of share times its usual size: see `WALKING`."""
 
     of: str = "shift"
@@ -265,17 +265,9 @@ class Wandering(SmoothFunction):
         """Whether the quantity does."""
         return self.quantity.gives_way
 
-    def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
-        """Return the changed point."""
-        return self.quantity.device(p * self.gone(row), point, row)
-
-    def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
-        """Return the changed dimensions."""
-        return self.quantity.dimensions(p * self.gone(row), dims, row)
-
-    def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
-        """Return the changed deflection."""
-        return self.quantity.deflection(p * self.gone(row), state, row, still)
+    def acting(self, p: ca.SX, row: Row) -> tuple[Effect, ca.SX]:
+        """Return the quantity's change, as much of it as has occurred."""
+        return self.quantity, p * self.gone(row)
 
 
 @dataclass(frozen=True)
