@@ -11,6 +11,7 @@ import pytest
 
 from calflow.calibration import identify
 from calflow.deployment.in_space import is_no_better
+from calflow.deployment.usability import judgement
 from calflow.reporting.sections.verdict import how_sure
 from conftest import in_process
 from deployment.test_in_space import missed
@@ -19,8 +20,8 @@ from effects.test_board_bent import assert_bent_and_stretched, bent
 from effects.test_camera_slip import SLIP, assert_slipped, slipped
 from effects.test_lens_growth import CENTRE, FOCAL, assert_grown, findings, warming
 from effects.test_time_offset import ONLY, moving
-from observations.photographed import UR5E, board, photographed
-from observations.test_camera import study
+from observations.photographed import BESIDE, IN_GRIPPER, PANDA, UR5E, board, photographed
+from observations.test_camera import COARSE, COLUMNS, study
 from observations.test_camera_next import eccentric
 from observations.test_wrong_size import assert_not_doubted
 
@@ -116,3 +117,26 @@ def test_the_tools_unknown_point_is_no_error_where_next_poses_are_asked_for(tmp_
 def test_lengths_that_err_each_in_its_own_way_do_not_contradict_a_board(seed, tmp_path):
     """Fails if a board that is as stated is doubted since an arm was put together with lengths 8 mm off."""
     assert_not_doubted(tmp_path, seed)
+
+
+def test_a_tool_that_is_no_better_is_said(tmp_path):
+    """Fails if few images from nearly one place, which fit to parts of a pixel, pass for a calibrated tool on page one or in px."""
+    rng = np.random.default_rng(3)
+    made = photographed(PANDA, False, 2, rng, points=COARSE, worn=PANDA.worn(rng, 2e-4, 1e-4))
+    near = made.rows[made.rows["pose"] == 1]
+    q = near.filter(like="q").iloc[0].to_numpy() + 0.05 * rng.standard_normal((14, 7))
+    rows = []
+    for k, one in enumerate(q, start=1):
+        seen = np.linalg.inv(BESIDE) @ made.arm.links(one[None])[-1][0] @ IN_GRIPPER
+        points = 1e-3 * near[[f"{name}_mm" for name in COLUMNS]].to_numpy() @ seen[:3, :3].T + seen[:3, 3]
+        image = made.lens.image(points) + 0.2 * rng.standard_normal((len(points), 2))
+        rows.append(
+            near.assign(pose=k, u_px=image[:, 0], v_px=image[:, 1], **{f"q{i + 1}_rad": one[i] for i in range(7)})
+        )
+    narrow = type(made)(pd.concat(rows), made.arm, made.camera, made.target, made.lens)
+    kept = study(tmp_path, narrow, "franka-panda", False)
+    found = identify(kept.robot, kept.measurements(), ["geometry"], starts=1)
+    assert next(row.mean for row in found.accuracy if row.split == "holdout" and row.model != "nominal") < 0.5
+    assert is_no_better(found.in_space)
+    assert "see what to do next" in judgement(found)
+    assert "may be no nearer than the maker's robot" in found.validate(kept.measurements()).summary.notes[-1]

@@ -1,11 +1,13 @@
-"""Causes many times their usual size, what was knocked, and gains where there is noise alone: more of what the tests ask of one."""
+"""Causes many times their usual size, what was knocked, and gains where there is noise alone: more of what tests ask of one."""
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
+import calflow as cf
 from diagnosis.test_far_larger import assert_comes_back, assert_held
-from diagnosis.test_objects_moved import assert_knocked, lengths
+from diagnosis.test_objects_moved import assert_knocked, first_steps, lengths
 from estimation.test_residual_field import gained
 
 
@@ -29,3 +31,19 @@ def test_a_wire_s_anchor_may_be_knocked(tmp_path):
 def test_noise_alone_is_corrected_no_more_often_than_said():
     """Fails if what is left by chance is taken for a gain more often than once in a hundred cases."""
     assert gained(20) == 0
+
+
+def test_held_out_rows_about_a_step_are_not_judged(tmp_path):
+    """Fails if held-out rows of which the fitted ones do not tell whether the anchor had been knocked count as errors."""
+    folder = first_steps(tmp_path)
+    row = np.arange(140)
+    held = (row % 4 == 0) | (abs(row - 70) < 5)
+    lengths(np.random.default_rng(2)).assign(split=np.where(held, "holdout", "train")).to_csv(
+        folder / "wire.csv", index=False
+    )
+    tables = cf.run(cf.load_study(folder / "wire.toml"), tmp_path / "run").tables
+    assert (tables["diagnose/findings.csv"]["cause"] == "frame-step").any()
+    accuracy = tables["diagnose/accuracy.csv"]
+    last = accuracy[accuracy["split"] == "holdout"].iloc[-1]
+    assert last["n"] == held.sum() - 9
+    assert last["max_mm"] < 0.3

@@ -19,9 +19,9 @@ from sampling.calibrations import SMALL, Case, sampled
 
 @pytest.fixture(scope="session")
 def small_robots() -> list[tuple[Case, cf.Calibration, Posterior, np.random.Generator]]:
-    """Nine robots of three joints, calibrated and sampled; each with the generator that drew it."""
+    """Five robots of three joints, calibrated and sampled; each with the generator that drew it."""
     found = []
-    for number in range(9):
+    for number in range(5):
         rng = np.random.default_rng([31, number])
         case = Case.drawn(SMALL, rng)
         found.append((case, *sampled(case, rng, steps=50), rng))

@@ -24,14 +24,14 @@ def found(small_robots):
 def test_truths_lie_where_the_draws_are(found):
     """Fails if sampled intervals are 20 % too narrow, which would make the rms 1.2, or as much too wide."""
     z = norm.ppf((np.array([list(one.ranks.values()) for one in found]) + 0.5) / (DRAWS + 1))
-    assert 0.92 < np.sqrt((z**2).mean()) < 1.1
-    assert abs(z.mean()) < 0.12
+    assert 0.89 < np.sqrt((z**2).mean()) < 1.13
+    assert abs(z.mean()) < 0.16
 
 
 def test_truths_lie_where_the_fits_covariance_says(found):
     """Fails if the fit's standard deviations are 20 % too small or too large."""
     z = np.concatenate([one.fitted for one in found])
-    assert 0.87 < np.sqrt((z**2).mean()) < 1.13
+    assert 0.83 < np.sqrt((z**2).mean()) < 1.17
 
 
 def test_ranks_of_another_distribution_are_seen():

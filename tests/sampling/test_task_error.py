@@ -52,14 +52,14 @@ def calibrations(small_robots):
 
 
 def test_true_errors_are_as_large_as_was_said(calibrations):
-    """Fails if what is told is 20 % too small: in ten poses of twelve robots errors, by axis, have then an rms of 1.25."""
+    """Fails if what is told is 20 % too small: in ten poses of five robots errors, by axis, have then an rms of 1.25."""
     z, below = [], []
     for case, _, known, task, found in calibrations:
         error = case.model.point(case.truth, task.conditions) - known.model.point(known.estimate, task.conditions)
         z.append(error / found.sd[0])
         below.append(np.linalg.norm(error, axis=1) < found.radius[0])
-    assert 0.75 < np.sqrt(np.mean(np.square(z))) < 1.15
-    assert np.mean(below) > 0.9
+    assert 0.68 < np.sqrt(np.mean(np.square(z))) < 1.2
+    assert np.mean(below) > 0.88
 
 
 def test_draws_and_the_fits_covariance_agree(calibrations):
