@@ -24,7 +24,7 @@ from calflow.estimation.error_model import (
     read_errors,
     root_of,
 )
-from calflow.estimation.extrapolation import beyond_measured
+from calflow.estimation.extrapolation import DEPENDS, Elsewhere, beyond_measured
 from calflow.estimation.fit import Fit, fit_reweighted
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.model_tables import FUNCTIONS
@@ -210,7 +210,7 @@ def test_rows_of_one_time_do_not_wander():
     data.table["time"] = 0.0
     _, result, errors = fitted(data)
     errors = continued(errors, result, data)
-    assert {type(function) for function in errors.functions} <= {JointField, Shift, InPlace}
+    assert {type(function) for function in errors.functions} <= {JointField, Shift, InPlace, Elsewhere}
     assert np.isfinite(promised(errors, result, data, 86400.0)).all()
 
 
@@ -346,6 +346,24 @@ def test_beyond_a_measured_travel_a_curve_is_another_of_its_kind():
     alike = np.einsum("nak,na->nk", curve, across)[beyond]
     apart = alike - alike.mean(axis=0)
     assert (apart**2).sum() > 0.5 * (alike**2).sum()
+
+
+def test_an_error_by_one_joint_may_be_another_where_another_joint_was_not_measured():
+    """Fails if a joint's errors are known where another one never was, are unknown where it was, or change there at once."""
+    data = wavering(6)
+    model = build(data.robot, ("geometry",), data.given)
+    start, sure = model.nominal, 1e16 * np.eye(len(model.nominal))
+    result = Fit(LeastSquares.of(model, data, stated(data)), start, "linear", 0.0, np.zeros(0), 0 * start, sure)
+    waves = JointField(data.robot, (1,), 2)
+    known = ErrorModel.white(PerUnit(), len(start)).with_functions([waves], np.full(len(waves.declared), 1e-4))
+    errors = continued(known, result, data)
+    first, travel = data.joints[:, 0], np.ptp(data.joints[:, 0])
+    rows = replace(data, table=data.table.assign(q1=first + travel))
+    there = (errors.moved(model, start, rows.conditions) ** 2).sum(axis=1)
+    n, beyond = len(waves.declared), first - first.min()
+    whole, another = there[:, :n].sum(axis=1), there[:, n : 2 * n].sum(axis=1)
+    assert another / whole == pytest.approx(DEPENDS * beyond / (travel + beyond))
+    assert not errors.moved(model, start, data.conditions)[:, :, n : 2 * n].any()
 
 
 def test_a_root_keeps_small_parameters_beside_large_ones():

@@ -25,8 +25,9 @@ from calflow.effects.warming import Warming, heat_lost
 from calflow.estimation.error_model import ErrorModel, SmoothVariances, usual_sizes
 from calflow.estimation.fit import Fit
 from calflow.estimation.needed_conditions import depended_on
-from calflow.estimation.smooth_functions import SIZE, InTime, SmoothFunction, Wandering, in_time, within
+from calflow.estimation.smooth_functions import SIZE, InTime, OfJoints, SmoothFunction, Wandering, in_time, within
 from calflow.estimation.variance_components import SIZES, TEMPERED
+from calflow.files.plugins import subclasses
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Deflection, Dimensions, Row, State
 
@@ -39,6 +40,7 @@ NEVER_YET = 1e15, 2e15  # s, between which a step comes that has not come at any
 WARM = 100.0  # time constants after which a robot is warm
 BEYOND = 0.1  # share of a joint's travel by which a held-out reading may lie outside the fitted range,
 LEAST_BEYOND = 0.01  # and by so much in any case [rad, or m]: the range of a joint that stood still is none
+DEPENDS = 0.5  # probability that a smooth error depends on a further joint
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,64 @@ class Later(Wandering):
             return self.change * (1 - sum((within(at, session) for session in self.sessions), ca.SX(0)))
         beyond = ca.fmax(0, ca.fmax(self.begin - at, at - self.end))
         return self.change * ca.sqrt(self.diffusion(beyond) / ((self.end - self.begin) or 1.0))
+
+
+@dataclass(frozen=True)
+class Elsewhere(SmoothFunction):
+    """Another draw of a function of some joints, as far as other joints are beyond their measured ranges.
+
+    Whether it depends on such a joint too is as likely as not. If it does, it did not show within the range: where any scale is as
+    likely as any other, it has changed within a distance beyond with the probability distance / (range + distance).
+
+    The function is given by its class's name and its figures (see `Effect.figures_text`), the ranges by joint [rad, or m].
+    """
+
+    kind: str = "Shift"
+    function: str = "{}"
+    ranges: tuple[tuple[float, float], ...] = ()
+
+    @cached_property
+    def same(self) -> OfJoints:
+        """The function within the ranges."""
+        kinds = {kind.__name__: kind for kind in subclasses(OfJoints)}
+        return kinds[self.kind].of_figures(self.robot, self.function)
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Those of the function."""
+        return self.same.inputs
+
+    @property
+    def spectrum(self) -> np.ndarray:
+        """That of the function."""
+        return self.same.spectrum
+
+    @property
+    def units(self) -> Sequence[str]:
+        """Those of the function."""
+        return [parameter.unit for parameter in self.same.parameters()]
+
+    @property
+    def gives_way(self) -> bool:
+        """Whether the function does."""
+        return self.same.gives_way
+
+    def share(self, q: ca.SX) -> ca.SX:
+        """Return the probability that the function is another one at joint readings."""
+        same = ca.SX(1.0)
+        for joint, (low, high) in enumerate(self.ranges):
+            if joint not in self.same.of:
+                beyond = ca.fmax(0, ca.fmax(low - q[joint], q[joint] - high))
+                same *= 1 - DEPENDS * beyond / (max(high - low, LEAST_BEYOND) + beyond)
+        return 1 - same
+
+    def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
+        """Return the point moved by the root of that share of it."""
+        return self.same.device(p * ca.sqrt(self.share(row.q)), point, row)
+
+    def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
+        """Return the deflection, likewise."""
+        return self.same.deflection(p * ca.sqrt(self.share(state.q)), state, row, still)
 
 
 @dataclass(frozen=True)
@@ -272,6 +332,12 @@ def beyond_measured(errors: ErrorModel, sizes: SmoothVariances, variance: np.nda
         variance: of each of their parts, (n_parts,).
     """
     result, data, left = sizes.result, sizes.data, _walks(sizes, variance)
+    ranges = tuple(
+        zip(*map(np.ndarray.tolist, (data.joint_angles.min(axis=0), data.joint_angles.max(axis=0))), strict=True)
+    )
+    of_joints = errors.only(lambda function: isinstance(function, OfJoints))
+    others = [Elsewhere(data.robot, type(of).__name__, of.figures_text, ranges) for of in of_joints.functions]
+    errors = errors.with_functions(others, of_joints.sd)
     further = [*_beyond_causes(result, data)]
     errors = errors.with_functions(further, usual_sizes(result.model, further))
     # Which session it was says all of its frame: the next one's is placed anew.
