@@ -219,15 +219,6 @@ def diagnosed(
 
 
 @measured_data
-def test_a_positioner_s_base_and_target_are_found(tmp_path, monkeypatch):
-    """Fails if full poses do not say where base and target are, or poses that no fit has seen are missed by more than 0.36 mm."""
-    few = ["joint-error-map", "joint-eccentricity", "frame-step"]  # of some forty that fanuc and the tutorial try
-    held = diagnosed("positioner", tmp_path, monkeypatch, causes=few, every=2)
-    assert held.iloc[0] < 0.45
-    assert held.iloc[-1] <= 0.36
-
-
-@measured_data
 def test_real_franka_by_its_camera(tmp_path):
     """Fails if camera and board of unknown places go wrong on real poses of a camera, or its odd images are not told."""
     calflow("run", STUDIES / "franka-camera" / "study.toml", "--out", tmp_path, "--stage", "identify")

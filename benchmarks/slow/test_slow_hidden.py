@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
+from calflow.effects.cause import Cause
 from hidden.backgrounds import Background
 from hidden.causes import Hidden
 from hidden.test_frames import IN_TIME, ONE_MOVE
@@ -24,6 +27,7 @@ from hidden.test_hidden import (
 )
 from hidden.test_joint_causes import IN_JOINTS
 from hidden.test_measuring import SIGMA, measured
+from hidden.test_rivals import BENDING, diagnosed, written
 from hidden.test_steps import AT_A_ROW, STEPS, assert_step
 
 
@@ -111,3 +115,22 @@ def test_it_does_not_stop_where_a_smooth_background_keeps_the_tool_off(tmp_path)
     assert error > 1.1 * tolerance
     assert verdict.status == "measure"
     assert verdict.error_most_mm > 1e3 * error
+
+
+def test_a_mass_is_no_rival_of_the_spring_that_it_acts_through(tmp_path: Path) -> None:
+    """Fails if a mass that moves the tool only as the found link bends is weighed in place of the bending, or widens a promise.
+
+    Beside the bending, the mass of a wrist that is heavier than stated explains more than the bending as the maker's masses
+    make it; without the bending no mass moves anything.
+    """
+    written(tmp_path, BENDING, 1, np.array([0, 0, 0, 0, 200.0, 0]), np.inf)
+    found = diagnosed(tmp_path, "link-bending", "link-mass")
+    bending = next(finding for finding in found.findings if (finding.cause, finding.joint) == ("link-bending", 2))
+    assert "link-mass" not in {rival.cause for rival in bending.rivals}
+    rows = found.data.conditions
+    assert found.alternatives
+    for alternative in found.alternatives:
+        model = replace(alternative.model, given=found.model.given)
+        slopes = model.point_jacobian(alternative.estimate, rows)
+        for cause in (effect for effect in model.effects if isinstance(effect, Cause)):
+            assert np.abs(slopes[:, :, model.columns(cause)]).max() > 0, cause.id

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calflow.calibration import identify
+from calflow.calibration import Calibration, identify
 from calflow.deployment.in_space import is_no_better
 from calflow.deployment.usability import judgement
 from calflow.reporting.sections.verdict import how_sure
@@ -19,8 +19,8 @@ from effects.boards import BOARD, findings_of, of_plates
 from effects.test_board_bent import assert_bent_and_stretched, bent
 from effects.test_camera_slip import SLIP, assert_slipped, slipped
 from effects.test_lens_growth import CENTRE, FOCAL, assert_grown, findings, warming
-from effects.test_time_offset import ONLY, moving
-from observations.photographed import BESIDE, IN_GRIPPER, PANDA, UR5E, board, photographed
+from effects.test_time_offset import ONLY, moving, rests_without_speeds
+from observations.photographed import BESIDE, IN_GRIPPER, PANDA, SIZE, UR5E, Photographs, board, photographed
 from observations.test_camera import COARSE, COLUMNS, study
 from observations.test_camera_next import eccentric
 from observations.test_wrong_size import assert_not_doubted
@@ -44,9 +44,10 @@ def test_the_lens_of_one_of_two_cameras_that_warms_up_is_found(tmp_path):
     assert_grown(findings(tmp_path, warming(7, FOCAL, CENTRE, cameras=2)), ", camera camera2)")
 
 
-def test_no_lens_of_two_steady_cameras_grows(tmp_path):
-    """Fails if a worn arm's errors are taken for the growth of one of two cameras, each of which has figures of its own."""
-    assert findings(tmp_path, warming(8, 0.0, 0 * CENTRE, cameras=2)).empty
+@pytest.mark.parametrize("cameras", [1, 2])
+def test_no_lens_of_steady_cameras_grows(cameras, tmp_path):
+    """Fails if a worn arm's errors are taken for the growth of a lens, or of one of two, each of which has figures of its own."""
+    assert findings(tmp_path, warming(8, 0.0, 0 * CENTRE, cameras=cameras)).empty
 
 
 def test_a_plate_that_is_not_flat_and_longer_one_way_is_both(tmp_path):
@@ -140,3 +141,26 @@ def test_a_tool_that_is_no_better_is_said(tmp_path):
     assert is_no_better(found.in_space)
     assert "see what to do next" in judgement(found)
     assert "may be no nearer than the maker's robot" in found.validate(kept.measurements()).summary.notes[-1]
+
+
+def rolling(seed: int, first: float, last: float) -> Photographs:
+    """Photographs of which the first row was taken so much later [s] than the joints were read, the last row so much."""
+    same = ["pose", "px_x_mm", "px_y_mm"]
+    begin, end = (moving(seed, late) for late in (first, last))
+    both = begin.rows.merge(end.rows[[*same, "u_px", "v_px"]], on=same, suffixes=("", "_end"))
+    share = both["v_px"] / (SIZE[1] - both["v_px_end"] + both["v_px"])  # of the time at which its own row was exposed
+    for name in ("u_px", "v_px"):
+        both[name] += share * (both[f"{name}_end"] - both[name])
+    return replace(begin, rows=both.drop(columns=["u_px_end", "v_px_end"]))
+
+
+def test_a_rolling_shutter_is_told_by_its_rows(tmp_path):
+    """Fails if images that were exposed row by row about the reading are taken for a cause of camera, board or joints."""
+    study(tmp_path, rolling(3, -10e-3, 14e-3), "ur5e", True, ONLY)
+    assert in_process("run", tmp_path / "study.toml", "--out", tmp_path / "runs").code == 0
+    found = pd.read_csv(tmp_path / "runs" / "diagnose" / "findings.csv").set_index("cause")
+    assert [*found.index] == ["time-offset"]
+    assert found.loc["time-offset", "detail"] == "an image's rows one after the other"
+    line = 24e-3 / SIZE[1]
+    assert found.loc["time-offset", "estimate"] == pytest.approx(line, abs=4 * found.loc["time-offset", "sd"])
+    rests_without_speeds(Calibration.load(tmp_path / "runs"))

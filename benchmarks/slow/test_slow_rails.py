@@ -8,6 +8,7 @@ import numpy as np
 
 from calflow import Measurements, identify
 from effects.test_axis_straightness import ON_A_RAIL, SIGMA, TRAVEL, drawn, measured, points
+from effects.test_drive_stretch import lifted, told
 
 
 def test_a_twisted_rail_is_as_twisted_as_it_is():
@@ -64,3 +65,8 @@ def test_a_rack_that_grows_is_told_from_a_device_that_wanders():
         (found.cause, found.joint) for found in told.findings if "temperature" in found.detail
     }
     assert "frame-drift" not in {found.cause for found in told.findings}
+
+
+def test_a_stiff_belt_is_not_found_soft():
+    """Fails if a lift's belt that gives way to nothing is said to stretch."""
+    assert not told(lifted(0.0, np.random.default_rng(8)))

@@ -80,3 +80,12 @@ def test_without_a_task_the_tool_is_judged_where_it_was_measured():
     verdict = next_poses(load_study(STUDIES / "fanuc-r2000"), 2, 3e-4).verdict
     assert 0.4 * verdict.heldout_rms_mm < verdict.error_mm < 1.2 * verdict.heldout_rms_mm
     assert any("where it was measured" in note for note in verdict.notes)
+
+
+@measured_data
+def test_a_positioner_s_base_and_target_are_found(tmp_path, monkeypatch):
+    """Fails if full poses do not say where base and target are, or poses that no fit has seen are missed by more than 0.36 mm."""
+    few = ["joint-error-map", "joint-eccentricity", "frame-step"]  # of some forty that fanuc and the tutorial try
+    held = diagnosed("positioner", tmp_path, monkeypatch, causes=few, every=2)
+    assert held.iloc[0] < 0.45
+    assert held.iloc[-1] <= 0.36

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import numpy as np
+import pandas as pd
 import pytest
 
+import calflow as cf
 from effects import test_frame_step, test_session_frame, test_tracker_scale
-from hidden.test_steps import assert_predicted_as_of_then
+from effects.test_frame_step import HEAD, SHIFT
+from first_steps import ARM
+from hidden.test_steps import DATED, assert_predicted_as_of_then
 
 
 def test_of_two_stations_in_turn_the_one_that_moved_is_told(tmp_path):
@@ -13,9 +18,10 @@ def test_of_two_stations_in_turn_the_one_that_moved_is_told(tmp_path):
     test_frame_step.assert_told_in_turn(tmp_path, "of station B")
 
 
-def test_a_wire_that_stands_elsewhere_leaves_the_tracker_where_it_is(tmp_path):
-    """Fails if a wire's anchor that was moved is taken for a tracker set up anew, or for a robot that moved."""
-    test_session_frame.assert_told(tmp_path, "of wire")
+@pytest.mark.parametrize("moved", ["of wire", "turned"])
+def test_of_a_wire_and_a_robot_the_one_that_stands_elsewhere_is_told(moved, tmp_path):
+    """Fails if an anchor that was moved is taken for a tracker set up anew, or a robot that moved is not one shift for both."""
+    test_session_frame.assert_told(tmp_path, moved)
 
 
 @pytest.mark.parametrize("anchor_known", [True, False])
@@ -24,6 +30,36 @@ def test_the_zero_of_a_wire_is_told(anchor_known, tmp_path):
     test_tracker_scale.assert_told(tmp_path, 0.0, 1.2e-3, anchor_known)
 
 
-def test_a_row_that_states_a_time_is_predicted_by_the_tool_of_then(tmp_path):
-    """Fails if a tool before its slip is predicted as it was left, after it or without a time as before it."""
-    assert_predicted_as_of_then(tmp_path, "tool-slip")
+@pytest.mark.parametrize("cause", DATED)
+def test_a_row_that_states_a_time_is_predicted_as_of_then(cause, tmp_path):
+    """Fails if the robot before its step is predicted as it was left, after it or without a time as before it, or if nothing is
+    promised of a row between the last one before the step and the first after it.
+    """
+    assert_predicted_as_of_then(tmp_path, cause)
+
+
+def test_a_station_that_moved_moves_no_other(tmp_path):
+    """Fails if the first station, used before the second one and still standing, is taken to have moved with it."""
+    rng, text = np.random.default_rng(5), HEAD
+    for k, name in enumerate("AB"):
+        q = rng.uniform(ARM["LOW"], ARM["HIGH"], (60, 6))
+        seen = ARM["ball"](q) + k * np.array([0.5, 2.0, 0.1]) + rng.normal(0, 2e-5, (60, 3))
+        seen += k * (np.arange(60) >= 30)[:, None] * SHIFT
+        table = pd.DataFrame(np.degrees(q), columns=[f"q{i}_deg" for i in range(1, 7)])
+        table[["x_mm", "y_mm", "z_mm"]] = 1e3 * seen
+        table.assign(split=np.where(np.arange(60) % 5 == 2, "holdout", "train")).to_csv(
+            tmp_path / f"{name}.csv", index=False
+        )
+        text += f'[[measurements]]\nkind = "position"\nname = "{name}"\nfile = "{name}.csv"\nsigma_mm = 0.02\n'
+        text += f'[measurements.station]\nname = "{name}"\n'
+    (tmp_path / "study.toml").write_text(text)
+    run = cf.run(cf.load_study(tmp_path / "study.toml"), tmp_path / "run")
+    assert "frame-step" in set(run.tables["diagnose/findings.csv"]["cause"])
+    q = rng.uniform(ARM["LOW"], ARM["HIGH"], (50, 6))
+    off = cf.Calibration.load(tmp_path / "run").predict(q).position - ARM["ball"](q)
+    assert np.linalg.norm(off.mean(axis=0)) < 1e-4  # in the first station's frame
+
+
+def test_a_wire_that_is_right_has_no_scale(tmp_path):
+    """Fails if a scale or a zero of a wire is told where there is none."""
+    test_tracker_scale.assert_told(tmp_path, 0.0, 0.0, False)

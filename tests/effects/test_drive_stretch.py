@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 
 from calflow import Measurements, identify
+from calflow.diagnosis.findings import Finding
 from calflow.robot.frames import modified_dh
 from calflow.robot.mechanism import rated_torques
 from calflow.robot.parts import Joint, Marker, Payload
@@ -40,17 +43,14 @@ def lifted(stretch: float, rng: np.random.Generator) -> Measurements:
     ).split(seed=3)  # fmt: skip
 
 
-def test_a_belt_that_its_load_stretches_is_told_from_a_wrong_ratio():
-    """Fails if what a lift's belt gives way, the more the longer it is, passes for a wrong ratio, or a stiff belt is found soft."""
-    rng = np.random.default_rng(8)
+def told(data: Measurements) -> Sequence[Finding]:
+    """What is named in it."""
     names = ["drive-stretch", "gear-ratio-error", "joint-error-map", "nonlinear-joint-stiffness", "link-mass"]
-    told = [
-        identify(LIFT, lifted(stretch, rng), ("geometry", "joint-compliance"), starts=1)
-        .diagnose(catalogue=names)
-        .findings
-        for stretch in (0.0, 4e-7)
-    ]
-    assert not told[0]
-    (found,) = told[1]
+    return identify(LIFT, data, ("geometry", "joint-compliance"), starts=1).diagnose(catalogue=names).findings
+
+
+def test_a_belt_that_its_load_stretches_is_told_from_a_wrong_ratio():
+    """Fails if what a lift's belt gives way, the more the longer it is, passes for a wrong ratio."""
+    (found,) = told(lifted(4e-7, np.random.default_rng(8)))  # benchmarks/slow has a stiff belt
     assert (found.cause, found.joint, found.unit) == ("drive-stretch", 1, "m/m")
     assert found.estimate == pytest.approx(4e-7 * rated_torques(LIFT)[0], rel=0.2)

@@ -13,7 +13,7 @@ from calflow.calibration import Calibration
 from calflow.effects.time_offset import TimeOffset
 from calflow.templates import library_file
 from conftest import in_process
-from observations.photographed import SIZE, UR5E, Arm, Photographs, board, photographed
+from observations.photographed import UR5E, Arm, Photographs, board, photographed
 from observations.test_camera import study
 
 IMAGES = 20
@@ -55,29 +55,6 @@ def test_an_image_that_was_taken_earlier_is_found(tmp_path):
     assert found.loc["time-offset", "status"] == "named"
     assert found.loc["time-offset", "estimate"] == pytest.approx(late, abs=4 * found.loc["time-offset", "sd"])
     assert found.loc["time-offset", "sd"] < 2e-4
-    rests_without_speeds(Calibration.load(tmp_path / "runs"))
-
-
-def rolling(seed: int, first: float, last: float) -> Photographs:
-    """Photographs of which the first row was taken so much later [s] than the joints were read, the last row so much."""
-    same = ["pose", "px_x_mm", "px_y_mm"]
-    begin, end = (moving(seed, late) for late in (first, last))
-    both = begin.rows.merge(end.rows[[*same, "u_px", "v_px"]], on=same, suffixes=("", "_end"))
-    share = both["v_px"] / (SIZE[1] - both["v_px_end"] + both["v_px"])  # of the time at which its own row was exposed
-    for name in ("u_px", "v_px"):
-        both[name] += share * (both[f"{name}_end"] - both[name])
-    return replace(begin, rows=both.drop(columns=["u_px_end", "v_px_end"]))
-
-
-def test_a_rolling_shutter_is_told_by_its_rows(tmp_path):
-    """Fails if images that were exposed row by row about the reading are taken for a cause of camera, board or joints."""
-    study(tmp_path, rolling(3, -10e-3, 14e-3), "ur5e", True, ONLY)
-    assert in_process("run", tmp_path / "study.toml", "--out", tmp_path / "runs").code == 0
-    found = pd.read_csv(tmp_path / "runs" / "diagnose" / "findings.csv").set_index("cause")
-    assert [*found.index] == ["time-offset"]
-    assert found.loc["time-offset", "detail"] == "an image's rows one after the other"
-    line = 24e-3 / SIZE[1]
-    assert found.loc["time-offset", "estimate"] == pytest.approx(line, abs=4 * found.loc["time-offset", "sd"])
     rests_without_speeds(Calibration.load(tmp_path / "runs"))
 
 

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 
 import calflow as cf
-from calflow.effects.cause import Cause
 from hidden.case import Case, World, draw, measure, write_case
 from hidden.causes import Hidden, measured_points
 from hidden.simulator import Array
@@ -40,25 +39,6 @@ def diagnosed(folder: Path, *catalogue: str) -> cf.Calibration:
     study = cf.load_study(folder / "study.toml")
     first = cf.identify(study.robot, study.measurements(), study.file.effects, starts=1, seed=1)
     return first.diagnose(catalogue=catalogue)
-
-
-def test_a_mass_is_no_rival_of_the_spring_that_it_acts_through(tmp_path: Path) -> None:
-    """Fails if a mass that moves the tool only as the found link bends is weighed in place of the bending, or widens a promise.
-
-    Beside the bending, the mass of a wrist that is heavier than stated explains more than the bending as the maker's masses
-    make it; without the bending no mass moves anything.
-    """
-    written(tmp_path, BENDING, 1, np.array([0, 0, 0, 0, 200.0, 0]), np.inf)
-    found = diagnosed(tmp_path, "link-bending", "link-mass")
-    bending = next(finding for finding in found.findings if (finding.cause, finding.joint) == ("link-bending", 2))
-    assert "link-mass" not in {rival.cause for rival in bending.rivals}
-    rows = found.data.conditions
-    assert found.alternatives
-    for alternative in found.alternatives:
-        model = replace(alternative.model, given=found.model.given)
-        slopes = model.point_jacobian(alternative.estimate, rows)
-        for cause in (effect for effect in model.effects if isinstance(effect, Cause)):
-            assert np.abs(slopes[:, :, model.columns(cause)]).max() > 0, cause.id
 
 
 def test_a_rival_that_differs_elsewhere_widens_the_promise_there(tmp_path: Path) -> None:

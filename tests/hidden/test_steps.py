@@ -130,13 +130,6 @@ DATED = {
 }  # fmt: skip
 
 
-def test_a_row_that_states_a_time_is_predicted_as_of_then(tmp_path):
-    """Fails if the robot before its step is predicted as it was left, after it or without a time as before it, or if nothing is
-    promised of a row between the last one before the step and the first after it.
-    """
-    assert_predicted_as_of_then(tmp_path, "joint-step")
-
-
 def assert_predicted_as_of_then(tmp_path, cause: str) -> None:
     """A row before a step and one after it are predicted as they were, and one amid as either."""
     write_case(tmp_path, DATED[cause], np.random.default_rng(35))

@@ -10,7 +10,7 @@ import numpy as np
 
 from calflow.files.tables import read_csv
 
-BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+BENCHMARKS = Path(__file__).parents[1]
 SCRIPT = """\
 import os, signal, sys
 from pathlib import Path
