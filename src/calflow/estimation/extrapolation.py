@@ -67,7 +67,7 @@ class Later(Wandering):
 
 
 @dataclass(frozen=True)
-class Elsewhere(SmoothFunction):
+class Elsewhere(ActingEffect, SmoothFunction):
     """Another draw of a function of some joints, as far as other joints are beyond their measured ranges.
 
     Whether it depends on such a joint too is as likely as not. If it does, it did not show within the range: where any scale is as
@@ -115,13 +115,9 @@ class Elsewhere(SmoothFunction):
                 same *= 1 - DEPENDS * beyond / (max(high - low, LEAST_BEYOND) + beyond)
         return 1 - same
 
-    def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
-        """Return the point moved by the root of that share of it."""
-        return self.same.device(p * ca.sqrt(self.share(row.q)), point, row)
-
-    def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
-        """Return the deflection, likewise."""
-        return self.same.deflection(p * ca.sqrt(self.share(state.q)), state, row, still)
+    def acting(self, p: ca.SX, row: Row) -> tuple[Effect, ca.SX]:
+        """Return the function, times the root of that probability."""
+        return self.same, p * ca.sqrt(self.share(row.q))
 
 
 @dataclass(frozen=True)
