@@ -12,7 +12,7 @@ import pytest
 from calflow.effects.cause import Cause
 from hidden.backgrounds import Background
 from hidden.causes import Hidden
-from hidden.test_frames import IN_TIME, ONE_MOVE
+from hidden.test_frames import DAYS, IN_TIME, ONE_MOVE
 from hidden.test_hidden import (
     BESIDE,
     CLOCK,
@@ -134,3 +134,8 @@ def test_a_mass_is_no_rival_of_the_spring_that_it_acts_through(tmp_path: Path) -
         slopes = model.point_jacobian(alternative.estimate, rows)
         for cause in (effect for effect in model.effects if isinstance(effect, Cause)):
             assert np.abs(slopes[:, :, model.columns(cause)]).max() > 0, cause.id
+
+
+def test_sessions_alone_are_no_cause(tmp_path):
+    """Fails if frames of sessions, or anything else, are seen where each session stood as the first."""
+    assert found(tmp_path, case("serial", columns=DAYS, poses=90, settings=IN_TIME), 22).table.empty

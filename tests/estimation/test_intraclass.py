@@ -25,8 +25,8 @@ def errors(case, fitted):
 
 @pytest.fixture(scope="module")
 def calibrations():
-    """Calibrations of eight robots whose poses shift three markers alike by twice the noise."""
-    drawn = [Case.drawn(SHARED, np.random.default_rng([21, k])) for k in range(8)]
+    """Calibrations of five robots whose poses shift three markers alike by twice the noise."""
+    drawn = [Case.drawn(SHARED, np.random.default_rng([21, k])) for k in range(5)]
     return [(case, case.fitted()) for case in drawn]
 
 
@@ -47,14 +47,14 @@ def test_independent_errors_have_the_covariance_of_compound_symmetry():
 def test_what_markers_share_is_found_in_its_size(calibrations):
     """Fails if the parameters' degrees of freedom are not taken from what markers have in common: 0.8 would be found as 0.7."""
     found = [fitted.summary.intraclass for _, fitted in calibrations]
-    assert np.mean(found) == pytest.approx(0.8, abs=0.03)
+    assert np.mean(found) == pytest.approx(0.8, abs=0.04)
 
 
 def test_intervals_of_shared_errors_cover(calibrations):
     """Fails if three markers count as three poses: errors would be 1.5 standard deviations, and 80 % in their 95 % intervals."""
     z = np.concatenate([errors(*one) for one in calibrations])
-    assert 0.85 < np.sqrt((z**2).mean()) < 1.15
-    assert (np.abs(z) < 1.96).mean() > 0.9
+    assert 0.81 < np.sqrt((z**2).mean()) < 1.19
+    assert (np.abs(z) < 1.96).mean() > 0.88
 
 
 def test_the_posterior_and_the_fit_are_of_one_likelihood(calibrations):

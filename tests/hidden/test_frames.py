@@ -62,11 +62,6 @@ def test_every_cause_of_frames_is_found(name, tmp_path):
     assert first["gain_mean_mm"] > 0
 
 
-def test_sessions_alone_are_no_cause(tmp_path):
-    """Fails if frames of sessions, or anything else, are seen where each session stood as the first."""
-    assert found(tmp_path, case("serial", columns=DAYS, poses=90, settings=IN_TIME), 22).table.empty
-
-
 def test_a_study_may_state_that_sessions_have_frames(tmp_path):
     """Fails if a study's own frames of sessions are not fitted, or a later stage cannot read them back."""
     only = '[stages.diagnose]\ncatalogue = ["frame-step", "session-frame"]\n'
