@@ -62,7 +62,7 @@ def is_compiled(function: ca.Function) -> bool:
 def test_same_bits_as_the_virtual_machine(model: Model, point: tuple[np.ndarray, np.ndarray], name: str) -> None:
     """Breaks if a compiler flag lets machine code contract or reassociate what CasADi computes."""
     model.figures(name, lambda p, c, at: [getattr(at, name)], *point)
-    (plain,) = (made for (key, _), made in model.made.items() if key == name)
+    (plain,) = (made for (key, _), made in model.graph.made.items() if key == name)
     built = compiled(plain, WORTH_EVALUATIONS)
     assert is_compiled(built)
     assert not is_compiled(plain)

@@ -13,7 +13,7 @@ import subprocess
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Hashable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from itertools import accumulate, pairwise
 from pathlib import Path
@@ -440,10 +440,14 @@ class Model:
         return SymbolicPrediction(self.robot, row, parts, dims, loads, deflection, now)
 
     @cached_property
+    def graph(self) -> Graph:
+        """The graph of this model, and of all that are equal to it."""
+        return _graph(self)
+
+    @property
     def symbols(self) -> tuple[ca.SX, ca.SX, SymbolicPrediction]:
         """Symbols of the parameters and of one row, and the prediction for them."""
-        p, c = ca.SX.sym("p", len(self.parameters)), ca.SX.sym("c", self.n_conditions)
-        return p, c, self.expression(p, c)
+        return self.graph.symbols
 
     def error(self, observation: Observation, asked: Asked | None = None) -> tuple[ca.SX, ca.SX]:
         """Return the symbol of one row's reported values (see `Observation.reported`), and the residual (n_units,).
@@ -552,10 +556,10 @@ class Model:
         of returns their expressions, given the symbols of the parameters and of a row and the prediction; the function is cached
         by name and code of of, so that the name must identify all that its closure holds.
         """
-        key = name, of.__code__
-        if key not in self.made:
-            self.made[key] = _figures(name, self.symbols[:2], of(*self.symbols))
-        return self._of_rows(self.made[key], p, conditions)
+        key, made = (name, of.__code__), self.graph.made
+        if key not in made:
+            made[key] = _figures(name, self.symbols[:2], of(*self.symbols))
+        return self._of_rows(made[key], p, conditions)
 
     def observed(
         self,
@@ -567,11 +571,11 @@ class Model:
         reported: np.ndarray,
     ) -> list[np.ndarray]:
         """Return quantities of an observation's residual at rows, as `figures`; of receives the residual as its third argument."""
-        key = f"{name}{self.observations.index(observation)}", of.__code__
-        if key not in self.made:
+        key, made = (f"{name}{self.observations.index(observation)}", of.__code__), self.graph.made
+        if key not in made:
             (y, error), symbols = self.error(observation), self.symbols[:2]
-            self.made[key] = _figures(key[0], (*symbols, y), of(*symbols, error))
-        return self._of_rows(self.made[key], p, conditions, reported)
+            made[key] = _figures(key[0], (*symbols, y), of(*symbols, error))
+        return self._of_rows(made[key], p, conditions, reported)
 
     def _of_rows(self, function: ca.Function, p: np.ndarray, *rows: np.ndarray) -> list[np.ndarray]:
         values = enumerate(self.over_rows(function, p, *rows))
@@ -582,27 +586,35 @@ class Model:
 
         passes is how often these rows are expected to be evaluated.
         """
-        self._evaluations[function] += rows[0].shape[1]
-        expected = max(passes * rows[0].shape[1], self._evaluations[function] // 2)  # half of past use may recur
-        made = self._compiled.get(function)
+        graph = self.graph
+        graph.evaluations[function] += rows[0].shape[1]
+        expected = max(passes * rows[0].shape[1], graph.evaluations[function] // 2)  # half of past use may recur
+        made = graph.compiled.get(function)
         if made is None or (expected >= WORTH_EVALUATIONS and made is function):
-            made = self._compiled[function] = compiled(function, expected)
+            made = graph.compiled[function] = compiled(function, expected)
         return over_rows(made, p, *rows)
 
-    @cached_property
-    def made(self) -> dict[Hashable, ca.Function]:
-        """Cached functions of this model, by name and code: building one takes longer than the few evaluations of a fit."""
-        return {}
 
-    @cached_property
-    def _evaluations(self) -> Counter[ca.Function]:
-        """Number of rows for which each function was evaluated, since the number of calls is not known in advance."""
-        return Counter()
+@dataclass(frozen=True, eq=False)
+class Graph:
+    """The graph of a model, and the functions made of it: building one takes longer than the few evaluations of a fit.
 
-    @cached_property
-    def _compiled(self) -> dict[ca.Function, ca.Function]:
-        """Functions already looked up in the cache of compiled code, as a look-up takes longer than a few rows."""
-        return {}
+    symbols: of the parameters and of one row, with the prediction for them; made: functions, by name and code; evaluations: number
+    of rows for which each was evaluated, since the number of calls is not known in advance; compiled: those already looked up in
+    the cache of compiled code, as a look-up takes longer than a few rows.
+    """
+
+    symbols: tuple[ca.SX, ca.SX, SymbolicPrediction]
+    made: dict[Hashable, ca.Function] = field(default_factory=dict)
+    evaluations: Counter[ca.Function] = field(default_factory=Counter)
+    compiled: dict[ca.Function, ca.Function] = field(default_factory=dict)
+
+
+@lru_cache(maxsize=64)
+def _graph(model: Model) -> Graph:
+    """Return the graph of a model; cached, as a search constructs equal models, or with other priors, many times."""
+    p, c = ca.SX.sym("p", len(model.parameters)), ca.SX.sym("c", model.n_conditions)
+    return Graph((p, c, model.expression(p, c)))
 
 
 def _figures(name: str, inputs: Sequence[ca.SX], outputs: list[Any]) -> ca.Function:

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
+import casadi as ca
 import numpy as np
 
 from calflow.diagnosis.fitted import Fitted
@@ -23,7 +24,7 @@ from calflow.effects.cause import Cause
 from calflow.estimation.calibrated_model import MANY
 from calflow.estimation.variance_components import HALF_NORMAL, SIZES, directions, explained, log_likelihood
 from calflow.measurements.measurements import Measurements
-from calflow.model import Model, consecutive
+from calflow.model import Model, consecutive, over_rows
 
 SHARE = 0.1  # of a cause's effect: usual standard deviation of its form error
 ORDERS = 4  # of the Legendre polynomials of a cause's variable
@@ -127,7 +128,6 @@ def variations(cause: Cause, fitted: Fitted) -> np.ndarray:
 def variable_values(model: Model, variable: Variable, data: Measurements) -> np.ndarray:
     """Return the values of a cause's variable by the nominal robot (n_rows,), in SI units."""
     rigid = Model(model.robot, (), model.given)
-    (values,) = rigid.figures(
-        "variable", lambda p, c, at: [variable.value(at.state, at.row)], rigid.nominal, data.conditions
-    )
-    return values.ravel()
+    p, c, at = rigid.symbols
+    value = ca.Function("variable", [p, c], [ca.densify(variable.value(at.state, at.row))])
+    return over_rows(value, rigid.nominal, data.conditions)[0].ravel()

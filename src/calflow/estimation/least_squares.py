@@ -83,7 +83,7 @@ class SeriesBlock:
     @cached_property
     def graph(self) -> ca.Function:
         """The function of (p, conditions, reported, whitening): whitened residual and its Jacobian, transposed."""
-        key, made = f"linearised {self.key}", self.model.made
+        key, made = f"linearised {self.key}", self.model.graph.made
         if key not in made:
             inputs, residual = self.expression()
             residual = ca.cse(residual)  # a third of the operations are duplicates

@@ -230,7 +230,7 @@ def _graph(block: SeriesBlock, moved: SeriesBlock) -> ca.Function | None:
     It is built once per model; moved is the same block of the model with levers. None where an observation depends on several
     points.
     """
-    key, made = f"levers {block.key}", block.model.made
+    key, made = f"levers {block.key}", block.model.graph.made
     if key in made:
         return made[key]
     asked = Asked([], [])
