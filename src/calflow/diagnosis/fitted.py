@@ -26,6 +26,7 @@ from calflow.model import Model
 
 HUBER = 4.5  # standard deviations from which rows are down-weighted
 SETTLED = 0.1  # relative change of noise and weights below which a fit is not repeated
+ROUGH = 1e-4  # share of chi² by which a fit that serves to estimate the noise alone may miss its optimum
 MOST_LEVERAGE = 0.95  # of a residual, by which it is studentised
 WEIGHINGS = 3  # fits at most, in which the weights of outliers and the scales of the causes' priors settle
 ALIKE = np.ones(1)  # factor of all rows without outliers
@@ -281,7 +282,7 @@ def _settled(
     """
     for _ in range(WEIGHINGS):
         weighed = _down_weighted(device, outlier_factor, discrepancy)
-        settled, noise, lack, _ = fit_reweighted(model, data, weighed, start[None], loss, SETTLED)
+        settled, noise, lack, _ = fit_reweighted(model, data, weighed, start[None], loss, SETTLED, ROUGH)
         alike = np.where(noise.estimated, noise.sigma / outlier_factor, device.sigma)
         before = noise.total / replace(noise, sigma=alike).total
         outlier_factor, discrepancy, start = _excess(settled, before), noise.discrepancy, settled.estimate

@@ -120,15 +120,18 @@ class Fit:
         return inverse
 
 
-def fit(problem: LeastSquares, starts: np.ndarray | None = None, loss: Loss = "linear") -> tuple[Fit, int]:
+def fit(
+    problem: LeastSquares, starts: np.ndarray | None = None, loss: Loss = "linear", rough: float = 0.0
+) -> tuple[Fit, int]:
     """Return the best maximum-a-posteriori estimate over the starts, and the number of starts that reached it.
 
     Args:
         problem: the model and its data.
         starts: parameter values to start from, shape (n_starts, n_parameters); the priors' means by default.
         loss: function of a row's squared whitened residual; soft_l1 and cauchy down-weight outliers.
+        rough: share of the objective that a further step may still gain.
     """
-    solver, at, _callbacks = _solver(problem, loss)
+    solver, at, _callbacks = _solver(problem, loss, rough)
     model = problem.model
     starts = model.prior_mean[None] if starts is None else starts
     lower, upper = model.bounds.T / model.prior_sd
@@ -207,7 +210,9 @@ class _Callback(ca.Callback):
         return 0
 
 
-def _solver(problem: LeastSquares, loss: Loss) -> tuple[ca.Function, Callable[[bytes], Fit], list[_Callback]]:
+def _solver(
+    problem: LeastSquares, loss: Loss, rough: float
+) -> tuple[ca.Function, Callable[[bytes], Fit], list[_Callback]]:
     """Return IPOPT's solver in coordinates scaled by the priors, the cached evaluation at a point, and its callbacks.
 
     The callbacks must live as long as the solver does.
@@ -227,8 +232,8 @@ def _solver(problem: LeastSquares, loss: Loss) -> tuple[ca.Function, Callable[[b
         room = np.where(pushed < 0, x - bounds[0], bounds[1] - x)
         # The decrease that a Newton step predicts.
         gain = 0.5 * left @ np.linalg.solve(there.information * np.outer(sd, sd), left)
-        misfit = max(1.0, there.objective / size)
-        return [bool(gain < SETTLED * misfit and (np.abs(pushed) * room).max() < SAME_OPTIMUM)]
+        enough = max(SETTLED * max(1.0, there.objective / size), rough * there.objective)
+        return [bool(gain < enough and (np.abs(pushed) * room).max() < SAME_OPTIMUM)]
 
     def value(x: np.ndarray) -> float:
         return at(x.tobytes()).objective / scale
@@ -259,28 +264,35 @@ def _solver(problem: LeastSquares, loss: Loss) -> tuple[ca.Function, Callable[[b
 
 
 def fit_reweighted(
-    model: Model, train: Measurements, noise: Noise, starts: np.ndarray, loss: Loss, tolerance: float = 0.01
+    model: Model,
+    train: Measurements,
+    noise: Noise,
+    starts: np.ndarray,
+    loss: Loss,
+    tolerance: float = 0.01,
+    rough: float = 0.0,
 ) -> tuple[Fit, Noise, LackOfFit, int]:
     """Fit the means of repeats, and refit until the weights agree with the residuals.
 
     An unknown noise is estimated series by series; to a known noise the model's discrepancy is added where it is significant.
     Returns the fit, its noise, the lack of fit against the noise alone (of the residuals in leading units whose noise is known, if
-    there are any), and the number of starts that reached the optimum.
+    there are any), and the number of starts that reached the optimum. rough is the share of chi² by which the first fit, from
+    which the noise is estimated, may miss its optimum.
     """
     model = observing(model, train)
     train, noise = averaged(train, noise)
     some = representative(train, START_ROWS if len(starts) > 1 else len(train))
-    result, agree = fit(LeastSquares.of(model, train.only(some), noise.only(some)), starts, loss)
+    result, agree = fit(LeastSquares.of(model, train.only(some), noise.only(some)), starts, loss, rough)
     if not some.all():
-        result, _ = fit(LeastSquares.of(model, train, noise), result.estimate[None], loss)
+        result, _ = fit(LeastSquares.of(model, train, noise), result.estimate[None], loss, rough)
     evidence = Evidence.of(train, noise)
     leading = result.problem.leading
     known = ~noise.estimated[result.problem.row] & leading
     against_noise = _lack(result, known if known.any() else leading, evidence)
-    for _ in range(NOISE_PASSES):
+    for k in range(NOISE_PASSES):
         before, noise = noise, _reestimated(result, noise, evidence)
         problem = LeastSquares.of(model, train, noise)
-        if _alike(noise, before, tolerance):
+        if _alike(noise, before, tolerance) and (k or not rough):
             there = Fit.at(problem, result.estimate, loss)
             result = replace(there, iterations=result.iterations, converged=result.converged, status=result.status)
             break
