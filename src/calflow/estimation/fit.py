@@ -292,7 +292,9 @@ def fit_reweighted(
     for k in range(NOISE_PASSES):
         before, noise = noise, _reestimated(result, noise, evidence)
         problem = LeastSquares.of(model, train, noise)
-        if _alike(noise, before, tolerance) and (k or not rough):
+        if _alike(noise, before, tolerance):
+            if rough and k == 0:
+                result, _ = fit(result.problem, result.estimate[None], loss)
             there = Fit.at(problem, result.estimate, loss)
             result = replace(there, iterations=result.iterations, converged=result.converged, status=result.status)
             break
