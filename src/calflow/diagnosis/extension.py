@@ -288,9 +288,10 @@ def _named_instead(trial: FittedTrial, basis: BackgroundBasis, search: Stepwise)
     others = {name for part in left.inputs if part != JOINTS for name in part} if left else set[str]()
     if not others or len(trial.causes) >= search.acceptance.most:
         return None
-    trial = replace(trial, fitted=replace(fitted, background=background(fitted, basis, others)))
-    passed = search.acceptance.passing(trial.linearisation.beside.scores, trial.first.family)
-    return trial.finest(passed[0]).cause if passed else None
+    field = background(fitted, basis, others)
+    tests = trial.linearisation.beside_another(field, fitted.problem.weight).beside
+    passed = search.acceptance.passing(tests.scores, trial.first.family)
+    return replace(trial, fitted=replace(fitted, background=field)).finest(passed[0]).cause if passed else None
 
 
 def _weakest(fitted: Fitted, basis: BackgroundBasis, variants: Mapping[Place, int]) -> Cause | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Generic, Self
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.linear_model import LinearModel
-from calflow.diagnosis.regressors import H, Place, Regressors
+from calflow.diagnosis.regressors import Background, H, Place, Regressors
 from calflow.diagnosis.screening import Family, Score, Screening, by_place
 from calflow.effects import Effect
 from calflow.effects.cause import Cause
@@ -93,6 +93,12 @@ class Linearisation(Generic[H]):
         regressors = fitted.regressors((*effects, *added), at.fit)
         columns = tuple(at.own(cause)[0] for cause in fitted.causes)
         return Linearisation(fitted.causes, regressors, at.fit.estimate[~at.fit.at_bound], columns)
+
+    def beside_another(self, background: Background | None, weight: np.ndarray) -> Linearisation[H]:
+        """Return the same model beside another background, or none, with whitening factors (n,) of the residuals."""
+        now = self.regressors
+        alone = now.without(now.random, np.zeros(len(now.random)))
+        return replace(self, regressors=alone.beside(background, weight))
 
     def screened(self, rng: np.random.Generator, family: Family | None = None) -> Screened[H]:
         """Return the tests of all causes that the model lacks; family is the correction for their number, if it is known."""
