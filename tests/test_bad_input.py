@@ -237,8 +237,9 @@ FILES = {
     "a zero far down": (b"pose,q1_deg\n" + b"1,2\n" * 9999 + b"1,2\x003\n", "10001: is not a text file: expected a CSV, found the"),
     "a shorter row": (b"pose,q1_deg,payload\n1,2,heavy\n1,2\n", "3: has fewer values than the 3 names of the header line"),
     "a quote left open": (b'pose,q1_deg,session\n1,2,"A\n2,3,A\n3,4,A"\n4,5,A\n',
-                          '2: a quote " is opened here, and closed in another'),
-    "text after a quote": (b'pose,q1_deg,session\n1,2,"A"x\n', "cannot be read: ',' expected after '\"'"),
+                          '2: a quote " is opened here, and not closed in this line'),
+    "a quote left open to the end": (b'pose,q1_deg,session\n1,2,A\n2,3,"A\n3,4,A\n', '3: a quote " is opened here, and not closed'),
+    "text after a quote": (b'pose,q1_deg,session\n1,2,"A"x\n', '2: a quote " is closed here, and text follows it'),
     "longer rows": (b"pose,q1_deg\n1,2,3\n1,2\n", "2: has more values than the 2 names of the header line"),
     "one longer row": (b"pose,q1_deg\n1,2\n1,2,3\n", "3: has more values than the 2 names of the header line"),
 }  # fmt: skip

@@ -132,11 +132,16 @@ def test_a_file_that_is_not_there_is_named(tmp_path, command):
         ("empty", "study.toml: no such file: expected a study in folder "),
         ("robot.toml", "robot.toml: is a robot file: expected the study that names it"),
         ("measurements.csv", "measurements.csv: is a table: expected a study's folder"),
+        ("ran/report.pdf", "report.pdf: is a PDF file: expected a study's folder"),
+        ("ran", "ran: is the folder of a run: expected the study that it was run from"),
     ],
 )
 def test_what_is_no_study_is_told_by_what_it_is(small, given, expected):
     """Fails if another folder, a robot file or a table in a study's place ends in words about keys and TOML."""
     (small / "empty").mkdir()
+    (small / "ran").mkdir()
+    (small / "ran" / "manifest.json").write_text("{}")
+    (small / "ran" / "report.pdf").write_bytes(b"%PDF-1.7\x80")
     answer = in_process("check", small / given)
     assert (answer.code, len(answer.err.splitlines())) == (2, 1)
     assert expected in answer.err

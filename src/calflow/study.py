@@ -26,6 +26,7 @@ from calflow.files.problems import (
     limited_problems,
     nearest,
     nearest_file,
+    problems_of,
     refuse,
     refuse_any,
     regular_file,
@@ -62,6 +63,7 @@ from calflow.stage_settings import SETTINGS
 # Keys of a table [parameters.NAME], before their unit, with the attribute of `Expected` that each states.
 FIGURES = {"value": "value", "lower": "lower", "upper": "upper", "prior_mean": "mean", "prior_sd": "sd"}
 MODELS, FIELD = ("identify", "diagnose"), "residual_field"  # stages
+NO_STUDIES = (".pdf", ".html", ".json", ".xlsx", ".mat", ".png", ".jpg", ".urdf", ".xml")  # endings of other files
 USUAL_KIND = "pose"  # of observation, where a study states none
 FEWEST_POSES = 3  # fewer do not even determine the robot's base
 
@@ -574,11 +576,15 @@ def _parsed(path: Path) -> tuple[dict[str, Any], Origin]:
         expected = f"expected a study's folder, or its file{nearest_file(path)}"
         raise refuse(f"no such file or folder in {Path.cwd()}: {expected}", path)
     if path.name == "study.toml" and os.path.isdir(path.parent) and not path.exists():
+        if path.with_name("manifest.json").exists():
+            raise refuse("is the folder of a run: expected the study that it was run from", path.parent)
         others = " or ".join(str(file) for file in sorted(path.parent.glob("*.toml")) if _may_be_study(file))
         expected = others or f"a study in folder {path.parent}; calflow new writes one"
         raise refuse(f"no such file: expected {expected}", path)
     if path.suffix == ".csv":
         raise refuse("is a table: expected a study's folder, or its file; calflow import brings a table into one", path)
+    if path.suffix.lower() in NO_STUDIES:
+        raise refuse(f"is a {path.suffix[1:].upper()} file: expected a study's folder, or its file", path)
     raw, origin = parse_toml(path)
     if "robot" not in raw and ("joints" in raw or "urdf" in raw):
         raise refuse("is a robot file: expected the study that names it, such as study.toml", path)
@@ -606,9 +612,14 @@ def load_study(path: str | Path) -> Study:
             lambda: validate_table(raw, StudyFile, origin), lambda: _named_files(sound, path) if sound else None
         )
     except InputError as error:
-        raise InputError((*error.problems, *(_not_located(sound, path.parent) if sound else ()))) from None
+        hidden = (_check_stages, _check_located) if sound else ()
+        further = problems_of(*(partial(check, sound, path) for check in hidden))
+        raise InputError(dict.fromkeys((*error.problems, *further))) from None
     (robot, robot_path), (workflow, workflow_path) = named
     study = Study(path, file, workflow, workflow_path, robot, robot_path)
+    if wrong := problems_of(study.check_stages):
+        measured = file.sources and not study.to_fetch
+        raise InputError((*wrong, *(problems_of(study.measurements) if measured else ())))
     if file.parameters and not file.sources:
         check_stated_parameters(study, build(study.robot, file.effects))
     return study
@@ -618,8 +629,7 @@ def _named_files(file: StudyFile, path: Path) -> tuple[tuple[Robot, Path], tuple
     """Return a study's robot and workflow, each with its file.
 
     Raises:
-        InputError: with all problems of these files, of the stages' settings, of the confirming study and of what is stated on
-            parameters.
+        InputError: with all problems of these files, of the confirming study and of what is stated on parameters.
     """
     robot_path = path.parent / file.robot
 
@@ -628,29 +638,30 @@ def _named_files(file: StudyFile, path: Path) -> tuple[tuple[Robot, Path], tuple
         check_effects(file.effects, robot, robot_path)
         return file.on(robot), robot_path
 
-    def found_workflow() -> tuple[WorkflowFile, Path]:
-        workflow_path = find_workflow(file.workflow, path)
-        workflow = read_toml(workflow_path, WorkflowFile)
-        Request(path, file, workflow, workflow_path).check_stages()
-        return workflow, workflow_path
-
     robot, workflow, *_ = run_checks(
         checked_robot,
-        found_workflow,
+        lambda: _workflow(file, path),
         lambda: check_confirm(file, path),
         lambda: check_parameters(file, Origin.of(path)),
     )
     return robot, workflow
 
 
-def _not_located(file: StudyFile, folder: Path) -> tuple[Problem, ...]:
-    """Return the problems of measurement files that are nowhere, and that no run would fetch."""
-    data = data_folder()
-    try:
-        run_checks(*(partial(locate, of, folder, data) for of in file.sources if not is_to_fetch(of, folder, data)))
-    except InputError as error:
-        return error.problems
-    return ()
+def _workflow(file: StudyFile, path: Path) -> tuple[WorkflowFile, Path]:
+    """Return the workflow of a study's file, and its path."""
+    workflow_path = find_workflow(file.workflow, path)
+    return read_toml(workflow_path, WorkflowFile), workflow_path
+
+
+def _check_stages(file: StudyFile, path: Path) -> None:
+    """Check the stages' settings of a study."""
+    Request(path, file, *_workflow(file, path)).check_stages()
+
+
+def _check_located(file: StudyFile, path: Path) -> None:
+    """Check that the measurement files are there, or that a run would fetch them."""
+    folder, data = path.parent, data_folder()
+    run_checks(*(partial(locate, of, folder, data) for of in file.sources if not is_to_fetch(of, folder, data)))
 
 
 def workflow_folder() -> Path:

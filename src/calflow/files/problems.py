@@ -89,6 +89,15 @@ def run_checks(*checks: Callable[[], Any]) -> list[Any]:
     return results
 
 
+def problems_of(*checks: Callable[[], Any]) -> tuple[Problem, ...]:
+    """Return the problems of all checks that fail; none if none does."""
+    try:
+        run_checks(*checks)
+    except InputError as error:
+        return error.problems
+    return ()
+
+
 def limited_problems(
     items: Sequence[Item], tell: Callable[[Item], Problem], kind_of: Callable[[Item], str] = lambda _: ""
 ) -> list[Problem]:

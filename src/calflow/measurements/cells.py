@@ -10,8 +10,9 @@ import io
 import json
 import zipfile
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import count, islice
 from pathlib import Path
 from typing import Any, Literal
 
@@ -31,6 +32,10 @@ HEAD = 4096  # bytes from which the type of a file is recognised
 NAMELESS = (
     'expected the columns\' names, found figures: name the columns in their order by columns = ["q1_deg", …] in the '
     "study's [measurements], or let 'calflow import' find out which is which"
+)
+OPEN_QUOTE = 'a quote " is opened here, and not closed in this line: expected a line a row'
+TEXT_AFTER_QUOTE = (
+    'a quote " is closed here, and text follows it: expected a separator, or a quote doubled inside quotes'
 )
 EMPTY = "is empty: expected a header line and a row per measured point"
 
@@ -192,14 +197,12 @@ def _checked_shape(text: str, path: Path, dialect: Dialect, named: Collection[st
 
     Rows may end after the last column that is read.
     """
-    lines = csv_lines(text, dialect.separator)
+    lines = _a_line_a_row(text, path, dialect)
     there = _header_cells(lines, path, dialect)
     names = dialect.names(there)
     fewer, more, widest = [], [], len(names)
     least = max((k for k, name in enumerate(names, start=1) if name in (named or names)), default=0)
-    for line, cells in enumerate(lines, start=lines.line_num + 1):
-        if lines.line_num != line:
-            raise refuse('a quote " is opened here, and closed in another line: expected a line a row', path, line)
+    for line, cells in enumerate(lines, start=dialect.header_line + 1):
         if any(cell.strip() for cell in cells[len(names) :]):
             more.append(line)
         elif len(cells) < least and any(cells):
@@ -217,12 +220,31 @@ def _checked_shape(text: str, path: Path, dialect: Dialect, named: Collection[st
     return names, widest
 
 
-def _header_cells(lines: Any, path: Path, dialect: Dialect) -> list[str]:
+def _a_line_a_row(text: str, path: Path, dialect: Dialect) -> Iterator[list[str]]:
+    """Yield the cells of each line.
+
+    Raises:
+        InputError: a quote is not closed in its line, or text follows where it is.
+    """
+    lines = csv_lines(text, dialect.separator)
+    for line in count(1):
+        try:
+            cells = next(lines)
+        except StopIteration:
+            return
+        except csv.Error as error:
+            closed = lines.line_num == line and "expected after" in str(error)
+            raise refuse(TEXT_AFTER_QUOTE if closed else OPEN_QUOTE, path, line) from None
+        if lines.line_num != line:
+            raise refuse(OPEN_QUOTE, path, line)
+        yield cells
+
+
+def _header_cells(lines: Iterator[list[str]], path: Path, dialect: Dialect) -> list[str]:
     """Return the cells of the header line, the last that is read of a file's lines; none without one."""
-    there: list[str] = []
-    for _ in range(dialect.header_line):
-        there = next(lines, [])
-    found, wanted = lines.line_num, dialect.header_line
+    heads = list(islice(lines, dialect.header_line))
+    there = heads[-1] if heads else []
+    found, wanted = len(heads), dialect.header_line
     if found < wanted:
         raise refuse(EMPTY if found <= 1 else f"has {found} lines: expected the header in line {wanted}", path)
     if len(there) == 1 and not dialect.header:

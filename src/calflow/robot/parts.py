@@ -390,7 +390,7 @@ def _marker_messages(markers: Mapping[str, Marker]) -> Iterator[Message]:
     if not markers:
         yield (
             (),
-            'expected at least one marker, e.g. {"tool": Marker((0, 0, 0.1))}, or [markers.tool] with point_mm in a file',
+            "expected at least one marker, the point that is measured: [markers.tool] with point_mm = [0, 0, 100], say",
         )
     if "base" in markers:
         yield (), "a marker cannot be called 'base': parameters are named by their part"

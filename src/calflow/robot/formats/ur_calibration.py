@@ -171,7 +171,10 @@ def driver_yaml(chain: RigidChain, along: Sequence[float], notes: Sequence[str])
     if len(chain.joints) != len(LINKS) or any(
         not np.allclose(joint.axis, (0, 0, 1)) or joint.kind != "revolute" for joint in chain.joints
     ):
-        raise refuse("this format has six joints that turn about z, and count as the controller does", key=title)
+        raise refuse(
+            "this format is of Universal Robots: it has six joints that turn about z, and count as the controller does",
+            key=title,
+        )
     last = _along_axis(chain.flange)
     if last is None:
         raise refuse(
