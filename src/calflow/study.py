@@ -612,8 +612,8 @@ def load_study(path: str | Path) -> Study:
             lambda: validate_table(raw, StudyFile, origin), lambda: _named_files(sound, path) if sound else None
         )
     except InputError as error:
-        hidden = (_check_stages, _check_located) if sound else ()
-        further = problems_of(*(partial(check, sound, path) for check in hidden))
+        hidden = (partial(_check_stages, sound, path), partial(_check_located, sound, path)) if sound else ()
+        further = problems_of(*hidden)
         raise InputError(dict.fromkeys((*error.problems, *further))) from None
     (robot, robot_path), (workflow, workflow_path) = named
     study = Study(path, file, workflow, workflow_path, robot, robot_path)
