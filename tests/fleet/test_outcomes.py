@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from calflow.fleet.standing import Outcome, fleet_lines, read_outcome, worst_first, write_outcome
 
 
@@ -22,6 +24,17 @@ def test_the_worst_robots_stand_first():
         "3 of 5 robots calibrated; 1 failed (d); 1 not run (e); 1 with a model that is not to be used (c).",
         "Half of them have a mean position error of 0.200 mm or less (before: 2.00 mm); the worst one, b, is left with 0.300 mm.",
     ]
+
+
+def test_errors_at_fitted_poses_are_called_so():
+    """Fails if a plant's accuracy is that of the fit, and no word says so."""
+    judged, fitted = (
+        replace(outcome(name, after=0.1), judged_by=by) for name, by in (("a", "holdout"), ("b", "train"))
+    )
+    end = " are at the poses that were fitted, smaller than at others: hold out three poses in ten."
+    assert fleet_lines([judged, fitted])[-1] == f"Errors of b{end}"
+    assert fleet_lines([fitted])[-1] == f"All errors{end}"
+    assert "fitted" not in "".join(fleet_lines([judged]))
 
 
 def test_an_outcome_reads_back_as_it_was(tmp_path):

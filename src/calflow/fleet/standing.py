@@ -257,6 +257,9 @@ def fleet_lines(outcomes: Sequence[Outcome]) -> list[str]:
             f"Half of {those} have {'a mean position' if unit == METRE.label else 'a mean'} error of {mm(median(after.values()))} "
             f"{unit} or less (before: {mm(median(before))} {unit}); the worst one, {worst}, is left with {mm(after[worst])} {unit}."
         )
+    if fitted := [outcome.robot for outcome in judged if outcome.judged_by == "train"]:
+        of = "All errors" if len(fitted) == len(judged) else f"Errors of {listed(fitted, 6)}"
+        lines.append(f"{of} are at the poses that were fitted, smaller than at others: hold out three poses in ten.")
     return lines
 
 
