@@ -318,13 +318,10 @@ def test_gross_readings_hide_no_cause():
     assert false <= binom.isf(0.001, 6, 0.02)
 
 
-@pytest.mark.parametrize("prior_sd", [0.05, 0.1])
-def test_a_cause_beyond_its_prior_makes_no_correlated_errors(prior_sd):
-    """Fails if errors, which are independent, are called correlated to make room for a heater three or six times its prior."""
+def test_a_cause_beyond_its_prior_makes_no_correlated_errors():
+    """Fails if errors, which are independent, are called correlated to make room for a heater six times its prior."""
     told = [found(0.3 * HEATER, [switching()], seed=seed, noise=None) for seed in range(5)]
-    narrow = [
-        found(0.3 * HEATER, [replace(switching(), prior_sd=prior_sd)], seed=seed, noise=None) for seed in range(5)
-    ]
+    narrow = [found(0.3 * HEATER, [replace(switching(), prior_sd=0.05)], seed=seed, noise=None) for seed in range(5)]
     assert all(each.findings for each in narrow)
     assert np.mean([each.noise.share > 0 for each in narrow]) <= np.mean([each.noise.share > 0 for each in told])
 

@@ -201,33 +201,6 @@ def test_a_stated_noise_that_repeats_contradict_on_one_day_is_told_as_it_was_sta
     assert doubt.shown > 1.5 * doubt.stated
 
 
-def test_the_noise_of_a_session_is_loaded_as_it_was_saved(tmp_path):
-    """Fails if a session's noise is lost with the files, nobody is told that what was stated is wrong, or the accuracy is that of
-    the fit before.
-    """
-    case = Case(robots.industrial(), ("geometry",))
-    data = case.measured(1)
-    noisy = np.arange(len(data)) % 3 == 0
-    rng = np.random.default_rng(5)
-    more = {name: data.table[name] + noisy * 3e-4 * rng.standard_normal(len(data)) for name in "xyz"}
-    days = {"session": np.where(noisy, "wed", "mon"), "sigma": 3e-5}
-    data = replace(data, table=data.table.assign(**more, **days))
-    calibration = cf.identify(case.robot, data, case.effects, starts=1)
-    found = calibration.diagnose(catalogue=["joint-backlash", "joint-eccentricity"])
-    loaded = assert_loaded(found, tmp_path / "diagnosed")
-    (device,) = loaded.device
-    assert 6 < device.factors["wed"] < 16
-    assert "mon" not in device.factors
-    np.testing.assert_array_equal(loaded.noise(data).sigma, np.where(noisy, device.factors["wed"], 1.0) * 3e-5)
-    assert loaded.noise(data).words.endswith("corrected where it is larger")
-    (doubt,) = RunOutcome(loaded.results).noise_doubts
-    assert doubt.session == "wed"
-    off = found.model.position(found.estimate, data.conditions) - data.position
-    assert not np.array_equal(found.estimate, calibration.estimate), "fitted again with that noise"
-    *_, fitted = (row for row in found.accuracy if row.split == "train")
-    assert fitted.mean == pytest.approx(1e3 * np.linalg.norm(off[data.train], axis=1).mean())
-
-
 def test_the_noise_of_a_marker_is_loaded_as_it_was_saved(tmp_path):
     """Fails if a marker's noise is lost with the files, or a run that was saved without it is not loaded."""
     places = {"E": [0.1, 0.02, 0.3], "F": [-0.1, 0.2, 0.25], "G": [0.15, -0.2, 0.2]}

@@ -1,4 +1,4 @@
-"""Every stage with what is no position: a wire alone, sockets alone, and several devices together."""
+"""Every stage with what is no position: sockets alone, and several devices together; benchmarks/slow has a wire alone."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import pytest
 
 from calflow.robot.robot import Robot
 from conftest import Folder
-from hidden.devices import Arm, Tracker, rows, seen, sockets, wire, written
+from hidden.devices import Arm, Tracker, seen, sockets, wire, written
 
 pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")  # what a device does not ask for is no 0/0
 ROBOT = Path(__file__).parents[2] / "studies" / "ur10-tmac" / "robot.toml"
@@ -151,22 +151,6 @@ def eccentricity_found(found: dict[str, pd.DataFrame]) -> bool:
 def lines_at_fault(found: dict[str, pd.DataFrame]) -> set[int]:
     """Lines that were left out."""
     return set(found["identify/faults"]["line"].dropna().astype(int))
-
-
-def test_a_wire_alone(study):
-    """Fails if any stage cannot do with lengths, misses an outlier or a cause in them, or predicts nothing from them."""
-    folder = study(WIRE)
-    found = finished(folder)
-    assert lines_at_fault(found) == {19}
-    assert eccentricity_found(found)
-    left = found["diagnose/accuracy"].query("split == 'holdout'")["mean_mm"]
-    assert left.iloc[-1] < 0.12 < 0.3 < left.iloc[0]
-    assert found["identify/residuals"]["dx_mm"].isna().all()
-    asked = written(rows(np.full((2, 6), 0.3)))
-    folder.measure(asked, "asked.csv")
-    answer = folder.calflow("predict", folder / "runs", folder / "asked.csv", "--out", folder / "answer.csv")
-    assert answer.code == 0, answer
-    assert pd.read_csv(folder / "answer.csv")["sd_x_mm"].between(0, 3).all()
 
 
 def test_sockets_alone(study):

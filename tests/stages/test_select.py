@@ -228,24 +228,6 @@ def test_impossible_cells_are_refused(small):
         small.edit("study.toml", (f"poses = 8\n{changed}\n", "poses = 8\n"))
 
 
-def test_what_the_plan_tells_apart_is_said_where_it_is_asked_for(small):
-    """Fails if the table comes unasked, counts a study's own effect as a cause, or the stage does not say the gaps in words."""
-    said = selected(small, "")[2]
-    assert "causes" not in said
-    assert not (small / "runs" / "select" / "isolability.csv").exists()
-    said = selected(small, 'isolability = true\nrecords = ["travel", "time", "temperature"]', out="told")[2]
-    table = pd.read_csv(small / "told" / "select" / "isolability.csv")
-    package = json.loads((small / "told" / "datapackage.json").read_text(encoding="utf-8"))
-    assert "select/isolability.csv" in {resource["path"] for resource in package["resources"] if "schema" in resource}
-    assert not set(table["cause"]) & {"geometry", "joint-compliance"}
-    worst = table[table["worst"]]
-    assert worst["cause"].isin(["joint-backlash"]).any()
-    assert table["chance"].between(0, 1).all()
-    assert (table["enough"] == (table["chance"] >= 0.9)).all()
-    assert "would be detected" in said
-    assert any(words in said for words in worst["words"])
-
-
 def test_what_one_thing_more_is_worth_and_what_drift_pulls_is_told(small):
     """Fails if an addition that the robot file allows is missing, or the order asked for is not the one that is taken."""
     said = selected(small, 'order = "random"\ndrift_um = 20')[2]
