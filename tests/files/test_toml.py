@@ -124,6 +124,8 @@ MISTAKES = {
         ("[split]", 'separator = ""\n[split]', "10: measurements.separator: expected one character, found ''"),
         ("[split]", 'encoding = "uft-8"\n[split]', "10: measurements.encoding: expected a name such as utf-8"),
         ("[split]", 'decimal = ";"\n[split]', "10: measurements.decimal: expected '.' or ',', found ';'"),
+        ("poses = 8", "poses = 8\ntask = {region_mm = [0, 0, 0]}",
+         "15: stages.select.task.region_mm: unknown key, did you mean 'region_min_mm'?"),
         ("poses = 8", "posse = 8", "14: stages.select.posse: unknown key, did you mean 'poses'?"),
         ("poses = 8", "poses = 8.0", "14: stages.select.poses: expected a whole number, found 8.0"),
         ("poses = 8", "region_min_mm = [0, 0, 0]", "13: stages.select: region_min and region_max go together"),

@@ -277,7 +277,9 @@ def _in_si(kind: type[FileModel | Record], raw: Any) -> Any:
         if dimension is None and key in keys:
             converted[key] = as_tuples(value)
         elif dimension is None:
-            converted[key] = _Wrong(f"unknown key{nearest(key, chain(*keys.values()))}", key)
+            spelled = list(chain(*keys.values()))
+            alike = nearest(key, [other for other in spelled if unit and split_unit(other)[1] == unit])
+            converted[key] = _Wrong(f"unknown key{alike or nearest(key, spelled)}", key)
         elif name in converted:
             converted[name] = _Wrong(f"'{name}' is given twice, in different units", key)
         elif not unit:
