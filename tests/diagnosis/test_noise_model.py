@@ -272,3 +272,12 @@ def test_a_misfit_where_one_session_measured_is_not_its_noise():
     seen = fitted(1, rough, lambda table: SIGMA + 0 * table["range"].to_numpy(), far_out, True)
     assert seen.noise.discrepancy[METRE] > SIGMA
     assert levels_of_residuals(seen) is None
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("seed", range(3))
+def test_a_device_noisier_along_one_axis_is_no_joint_that_does_not_repeat(axis, seed):
+    """Fails if the depth of a camera, which scatters more than its image, is told as a joint that moves the tool that way."""
+    rng = np.random.default_rng(seed)
+    seen = fitted(1, lambda table: 4 * SIGMA * rng.standard_normal((len(table), 1)) * np.eye(3)[axis])
+    assert not Standstills.of(seen, BackgroundBasis.of(seen)).significant(2e-3)

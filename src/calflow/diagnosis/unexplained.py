@@ -315,13 +315,15 @@ def _resolved(time: np.ndarray) -> float:
 class Standstills:
     """Variance components of the joints' errors at each standstill, beside all other errors that a fitted model leaves.
 
-    components: of the rows of some poses, the joints' parts before the last, which is an error of the pose as a whole; functions
-    (n_joints, n, n_poses): the joints' basis functions; reach (n_joints,): change of the measured value by 1 rad, or m, of a joint,
-    root mean square, in its leading unit.
+    components: of the rows of some poses, the joints' parts before the last of_axes, which are errors of the pose as a whole along,
+    or about, each axis of what is reported: a device that is noisier along one scatters like a joint that moves the tool along it.
+    functions (n_joints, n, n_poses): the joints' basis functions; reach (n_joints,): change of the measured value by 1 rad, or m,
+    of a joint, root mean square, in its leading unit.
     """
 
     fitted: Fitted
     components: VarianceComponents
+    of_axes: int
     functions: np.ndarray
     reach: np.ndarray
 
@@ -335,15 +337,16 @@ class Standstills:
         rows = np.flatnonzero(np.isin(fitted.poses, numbers[:: -(-len(numbers) // MOST_POSES)])[problem.row])
         pose = np.unique(fitted.poses[problem.row[rows]], return_inverse=True)[1]
         ways, leading = whole.matrix.times(np.eye(n))[rows], problem.leading[rows, None]
-        shifts = leading * (problem.place[rows, None] == np.arange(3)) * weight[rows, None]
-        functions = [each_pose(SIZE * USUAL**-0.5 * moved, pose) for moved in (*np.split(ways, n, axis=1), shifts)]
+        axes = (problem.place[rows, None] == np.unique(problem.place)) * weight[rows, None]
+        moving = np.split(np.hstack([ways, axes]), n + axes.shape[1], axis=1)
+        functions = [each_pose(SIZE * USUAL**-0.5 * moved, pose) for moved in moving]
         unevenly = [part[rows] for part in uneven_causes(fitted)]
         some = replace(whole, residual=whole.residual[rows], jacobian=whole.jacobian[rows])
         squared = (leading * ways / weight[rows, None]) ** 2
         reach = np.sqrt(squared.sum(axis=0) / len(np.unique(problem.row[rows])))
         modes = basis.weighed(apart.problem)[rows]
         components = components_beside(some, modes, basis.parts, [*unevenly, *functions])[1]
-        return Standstills(apart, components, np.array(functions[:n]), reach)
+        return Standstills(apart, components, axes.shape[1], np.array(functions[:n]), reach)
 
     @cached_property
     def variance(self) -> np.ndarray:
@@ -353,12 +356,12 @@ class Standstills:
     @property
     def _first(self) -> int:
         """The index of the first joint's part."""
-        return len(self.variance) - 1 - len(self.reach)
+        return len(self.variance) - self.of_axes - len(self.reach)
 
     @cached_property
     def joints(self) -> np.ndarray:
         """The joints (numbers from 0) whose variance is accepted: they do not repeat."""
-        return np.flatnonzero(self.variance[self._first : -1] > 0)
+        return np.flatnonzero(self.variance[self._first : -self.of_axes] > 0)
 
     def significant(self, significance: float) -> bool:
         """Whether any joint does not repeat, at a level of significance."""
@@ -368,9 +371,16 @@ class Standstills:
         """Return the finding that joint k does not repeat, tested against none, with the joints that could take its place."""
         components, at = self.components, self._first + k
         size, fewer = self.variance[at], np.where(np.arange(len(self.variance)) == at, 0.0, self.variance)
+        axes = np.arange(len(fewer)) >= len(fewer) - self.of_axes
+
+        def least(some: np.ndarray) -> float:
+            """Return the least cost from these variances, with those of the axes alone or with all axes'."""
+            return min(components.cost(components.most_likely(v)) for v in (some, np.where(axes, size, some)))
+
+        whole = min(components.cost(self.variance), least(self.variance))
 
         def costs(other: np.ndarray) -> float:
-            return components.cost(components.most_likely(other)) - components.cost(self.variance)
+            return least(other) - whole
 
         gain = costs(fewer)
         others = [j for j in range(len(self.reach)) if j not in self.joints]
