@@ -199,6 +199,31 @@ def test_a_device_that_was_moved_at_a_row(measured):
     assert f"from line {measured.table['line'][41]} on" in fault.statement
 
 
+def heavier(data):
+    """The data of a robot file that states a load of two thirds of the true one."""
+    load = data.robot.payloads["full"]
+    payloads = dict(data.robot.payloads) | {"full": replace(load, mass=2 / 3 * load.mass)}
+    return data.on(replace(data.robot, payloads=payloads))
+
+
+def test_rows_that_bear_another_payloads_name_are_put_right(measured):
+    """Fails if a run of rows typed alike, or single ones, are taken for joints that do not repeat, or a good row is touched."""
+    load, typed = measured.table["payload"].to_numpy(str), measured.table["payload"].to_numpy(str).copy()
+    rows = np.flatnonzero(load == "full")[[1, 5, *range(9, 14)]]
+    typed[rows] = "none"
+    found, (fault,) = examined(with_columns(measured, payload=typed))
+    assert (fault.cause, fault.action) == ("name-mistyped", "corrected")
+    assert [made.row - 1 for made in fault.corrections] == rows.tolist()
+    assert "payload full, which is not what is written" in fault.statement
+    assert found.table["payload"].tolist() == load.tolist()
+
+
+def test_a_load_that_is_heavier_than_stated_is_no_mistyped_name(measured):
+    """Fails if rows whose load the robot file states wrongly are given another's name, or rows that are right are."""
+    for data in (measured, heavier(measured)):
+        assert "name-mistyped" not in [fault.cause for fault in examined(data)[1]]
+
+
 def test_one_position_in_all_rows_is_told_as_such(measured):
     """Fails if a row copied into all others is told as a mistake of units or signs."""
     x, y, z = measured.position[0]

@@ -21,6 +21,7 @@ MEASUREMENT_FILE, ROBOT_FILE, SET_UP = "measurement file", "robot file", "set-up
 ROBOT = "robot"  # of a cause, not a mistake
 AXES = ("x", "y", "z")
 POSITION = "position"  # the quantity x, y, z
+MISNAMED = "name-mistyped"  # the fault that rows bear another object's name, or payload's
 EXCHANGED = {"x and y": ("x", "y"), "x and z": ("x", "z"), "y and z": ("y", "z")}  # exchanged axes
 DEVICE_COLUMNS = (*AXES, "rx", "ry", "rz", "qw", "qx", "qy", "qz", "sigma", "sigma_rotation", "range")
 

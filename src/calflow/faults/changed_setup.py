@@ -13,11 +13,11 @@ from calflow.effects import catalogue
 from calflow.effects.base import JointError
 from calflow.effects.base_off_level import TILT_BOUND
 from calflow.effects.session_frame import SessionFrame
-from calflow.faults.base import MEASUREMENT_FILE, ROBOT, SET_UP, line_in_words, lines_in_words
-from calflow.faults.mistake import ARBITRARY, LOG_ODDS, Mistake, row_mistakes
-from calflow.faults.rough import lengths, level, motion, rigid_errors, rigid_sums, split_errors
+from calflow.faults.base import MEASUREMENT_FILE, MISNAMED, ROBOT, SET_UP, Correction, line_in_words, lines_in_words
+from calflow.faults.mistake import ARBITRARY, LOG_ODDS, Mistake, exchanged_names, row_mistakes
+from calflow.faults.rough import FAR_BETTER, lengths, level, motion, rigid_errors, rigid_sums, split_errors
 from calflow.faults.setup import FittedSetup, Setup
-from calflow.files.words import rounded
+from calflow.files.words import listed, rounded
 from calflow.measurements.measurements import Measurements, sessions_of, spaced
 from calflow.robot.frames import Vector, vector
 from calflow.robot.mechanism import Row
@@ -78,6 +78,43 @@ def loads_late(data: Measurements, as_read: FittedSetup) -> Iterator[Mistake]:
     yield Mistake("payloads-late", 0, undone[rows + LATEST], words, log_prior, where=MEASUREMENT_FILE, remedy=remedy)
 
 
+def loads_misnamed(data: Measurements, as_read: FittedSetup) -> Iterator[Mistake]:
+    """Yield the rows that bear one payload's name and agree with another's, by the fit without the mistake.
+
+    Each is a mistake of its own, as likely in any row: by the other name it must be as much likelier.
+    """
+    rows, every = np.flatnonzero(data.train | data.held_out), np.arange(len(data))
+    names, first = np.unique(data.table["payload"].to_numpy(str)[rows], return_index=True)
+    if len(names) < 2 or len(rows) > MAX_ROWS:
+        return
+    some, odds = as_read.setup.at(data, rows), -np.log(len(rows) * (len(names) - 1.0))
+    carrying = [_with_payloads(data, np.full(len(data), row), some) for row in rows[first]]
+    explanation, source = as_read, every
+    for _ in range(ROUNDS):
+        before, after = explanation.errors_at(some), np.stack([explanation.errors_at(setup) for setup in carrying])
+        other, after = rows[first][after.argmin(axis=0)], after.min(axis=0)
+        likelier = explanation.surprise(before) - explanation.surprise(after) > -odds
+        better, known, source = likelier & (after < before / FAR_BETTER), source, every.copy()
+        source[rows[better]] = other[better]
+        if (source == known).all():
+            break
+        explanation = _with_payloads(data, source, as_read.setup).fitted
+    misnamed, line = np.flatnonzero(source != every), data.table["line"].to_numpy()
+    if not len(misnamed):
+        return
+    fitting = [
+        f"{lines_in_words(line[misnamed][source[misnamed] == row])} fits {f'payload {name}' if name else 'no payload'}"
+        for name, row in zip(names, rows[first], strict=True)
+        if row in source[misnamed]
+    ]
+    yield Mistake(
+        MISNAMED, 0, partial(_with_payloads, data, source), f"what was measured in {listed(fitting)}, which is not what is written",
+        LOG_ODDS + odds * np.isin(as_read.setup.numbers, misnamed).sum(),
+        tuple(Correction(int(row) + 1, "payload", source=int(source[row]) + 1) for row in misnamed),
+        MEASUREMENT_FILE, "correct the file, too",
+    )  # fmt: skip
+
+
 def _judged_rows(data: Measurements, as_read: FittedSetup) -> Setup:
     """Return the set-up at the rows, held out or not, at which a change is sought.
 
@@ -90,8 +127,13 @@ def _judged_rows(data: Measurements, as_read: FittedSetup) -> Setup:
 
 def _shifted_payloads(data: Measurements, rows: int, setup: Setup) -> Setup:
     """Return the set-up with payloads shifted by a number of rows."""
+    return _with_payloads(data, np.clip(np.arange(len(data)) + rows, 0, len(data) - 1), setup)
+
+
+def _with_payloads(data: Measurements, of: np.ndarray, setup: Setup) -> Setup:
+    """Return the set-up with each row's payload that of another, of (n_rows,)."""
     conditions, loaded = setup.conditions.copy(), Row.spans(data.robot)["payload"]
-    conditions[loaded] = data.conditions[loaded, np.clip(setup.numbers + rows, 0, len(data) - 1)]
+    conditions[loaded] = data.conditions[loaded, of[setup.numbers]]
     return replace(setup, conditions=conditions)
 
 
@@ -135,13 +177,17 @@ def setup_changes(data: Measurements, as_read: FittedSetup) -> Iterator[Mistake]
 
 
 def _in_some_rows(data: Measurements, as_read: FittedSetup, some: Setup) -> Iterator[Mistake]:
-    """Yield mistakes of the table before or after some row, in a session, or in rows that their correction explains."""
+    """Yield mistakes of the table before or after some row, in a session, or in rows that their correction explains.
+
+    Rows that bear another payload's name are sought one by one: see `loads_misnamed`.
+    """
     plain, number, line = rigid_sums(some.points(), some.position), np.arange(len(data)), data.table["line"].to_numpy()
     ends, once = np.arange(MIN_ROWS - 1, len(plain) - MIN_ROWS), LOG_ODDS - np.log(len(plain))
     sessions, before = sessions_of(data), as_read.errors_at(some)
     near: list[Part] = []
     mending: list[Part] = []
-    for mistake in row_mistakes(data):
+    anywhere = [*row_mistakes(data)]
+    for mistake in (*anywhere, *exchanged_names(data, "payload")):
         undone = mistake.undo(some)
         other = rigid_sums(undone.points(), undone.position)
         for name in sessions:
@@ -156,7 +202,7 @@ def _in_some_rows(data: Measurements, as_read: FittedSetup, some: Setup) -> Iter
                 which = f"up to {line_in_words(data, first - 1)}, not after"
             near.append((float(errors[k]), mistake, (number >= first) == bool(later), which, once))
         better = some.numbers[as_read.better(before, as_read.errors_at(undone))]
-        if len(better) >= MIN_ROWS:
+        if mistake in anywhere and len(better) >= MIN_ROWS:
             which = f"in {lines_in_words(line[better])}"
             mending.append((-len(better), mistake, np.isin(number, better), which, once))
     whole = float(rigid_errors(plain.sum(axis=0)))

@@ -102,10 +102,9 @@ def mistakes(data: Measurements, setup: Setup) -> Iterator[Mistake]:
 
 
 def row_mistakes(data: Measurements) -> Iterator[Mistake]:
-    """Yield every single mistake of the table that may concern a subset of rows."""
+    """Yield every single mistake of the table that may concern a subset of rows, but for exchanged names."""
     yield from (mistake for mistake in _signs(data) if len(mistake.in_rows) == 1)
     yield from _columns(data)
-    yield from _names(data, "payload")
     for name in REFLECTIONS:
         yield _reflected(name, "", (0,))
 
@@ -119,7 +118,7 @@ def misplaced(data: Measurements, setup: Setup) -> Iterator[Mistake]:
 
 def loads(data: Measurements, setup: Setup) -> Iterator[Mistake]:
     """Yield every single mistake of the loads, observable only by elastic deflection."""
-    yield from _names(data, "payload")
+    yield from exchanged_names(data, "payload")
     yield from LinkDimensions(data, setup).pounds()
 
 
@@ -170,7 +169,7 @@ def _columns(data: Measurements) -> Iterator[Mistake]:
         words, remedy = f"columns q{i + 1} and q{j + 1} are exchanged", "exchange their names in the measurement file"
         undo = _mapped({i: (j, 1.0), j: (i, 1.0)})
         yield Mistake("columns-exchanged", i + 1, undo, words, where=MEASUREMENT_FILE, remedy=remedy)
-    yield from _names(data, "marker")
+    yield from exchanged_names(data, "marker")
     yield from _table_units(data)
     for i in data.robot.driven:
         for by, when in ((1, "late"), (-1, "early")):
@@ -252,7 +251,7 @@ def _base_rotation(data: Measurements, setup: Setup) -> np.ndarray | None:
     return Rotation.align_vectors(wanted[clear], axes[clear])[0].as_matrix() if clear.sum() > 1 else None
 
 
-def _names(data: Measurements, label: str) -> Iterator[Mistake]:
+def exchanged_names(data: Measurements, label: str) -> Iterator[Mistake]:
     """Yield exchanged names of payloads or markers."""
     names = list(data.robot.payloads if label == "payload" else data.robot.markers)
     first = Row.spans(data.robot)[label].start

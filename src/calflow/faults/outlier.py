@@ -20,7 +20,7 @@ from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.leverage import Studentised
 from calflow.estimation.noise import measured_noise
 from calflow.estimation.registration import in_measuring_frame, registered_model
-from calflow.faults.base import Correction, Fault, correct, fault, faulty_rows
+from calflow.faults.base import MISNAMED, Correction, Fault, correct, fault, faulty_rows
 from calflow.faults.mistake import LENGTH_UNITS
 from calflow.faults.reference import EQUATIONS, Reference
 from calflow.faults.rough import FAR_BETTER, GROSS, LEAST_GROSS
@@ -49,7 +49,7 @@ ALONG, SHARE = 0.9, 0.8  # cosine to a joint's direction of motion, in this shar
 # Poses, and the share of a joint's travel in which fewer than RUN of them lie: chance takes 1 in 5,000.
 FEWEST, NEARBY = 3, 0.15
 STAYING = "have little weight in the fit, but count in the accuracy"
-MISNAMED, FLIPPED = "name-mistyped", "flipped-image"
+FLIPPED = "flipped-image"
 FLIPS = {"from the opposite corner": ("px_x", "px_y"), "mirrored along x": ("px_x",), "mirrored along y": ("px_y",)}
 MOSTLY = 0.8  # least share of an image's points: central ones hardly move
 ODD_ROW_FALSE_ALARM = 1 / 500  # false-alarm rate per gap; below 1 / 300 for all gaps tried

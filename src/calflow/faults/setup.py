@@ -329,11 +329,15 @@ class FittedSetup:
         """The log likelihood of the table's positions at the fit, scaled to the number of independent rows."""
         if not np.isfinite(self.estimate).all():
             return -np.inf
-        scale, tail = np.hypot(self.scale, PHYSICS) / self.setup.magnification, WIDTH**2
-        surprise = 3 * np.log(scale) + (tail + 3) / 2 * np.log1p((np.minimum(self.error, 1e3) / scale) ** 2 / tail)
+        surprise = self.surprise(self.error, self.setup.magnification)
         # A pose error has six degrees of freedom, those of two markers.
         share = self.setup.seen.clip(max=2).sum() / len(self.error)
         return float(-share * surprise.sum())
+
+    def surprise(self, error: np.ndarray, magnification: float | np.ndarray = 1.0) -> np.ndarray:
+        """Return minus the log density, but for a constant, of position errors (…) [m] in units of the table."""
+        scale, tail = np.hypot(self.scale, PHYSICS) / magnification, WIDTH**2
+        return np.asarray(3 * np.log(scale) + (tail + 3) / 2 * np.log1p((np.minimum(error, 1e3) / scale) ** 2 / tail))
 
     @property
     def suspicious(self) -> bool:

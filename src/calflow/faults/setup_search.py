@@ -13,7 +13,7 @@ import numpy as np
 
 from calflow.effects.geometry import PLACED_BOUND
 from calflow.faults.base import ROBOT, Correction, Fault
-from calflow.faults.changed_setup import causes_of_loads, gravity_elsewhere, loads_late, setup_changes
+from calflow.faults.changed_setup import causes_of_loads, gravity_elsewhere, loads_late, loads_misnamed, setup_changes
 from calflow.faults.implausible import MIN_POSES, nominal_misfit
 from calflow.faults.mistake import LinkDimensions, Mistake, loads, misplaced, mistakes
 from calflow.faults.reference import Reference
@@ -59,7 +59,7 @@ def likeliest_mistakes(data: Measurements, reference: Reference) -> list[Possibl
     setup, as_read = reference.setup, reference.setup.fitted
     if len(setup.seen) < MIN_POSES:
         return []
-    of_figures, of_changes, of_loads = [], [], [*loads_late(data, as_read)]
+    of_figures, of_changes, of_loads = [], [], [*loads_late(data, as_read), *loads_misnamed(data, as_read)]
     if as_read.suspicious:
         of_figures = [*misplaced(data, setup), *_screened(data, setup)]
     if reference.fit.scale > PHYSICS or reference.gross.any():
