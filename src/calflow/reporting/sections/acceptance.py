@@ -17,7 +17,7 @@ from calflow.study import Acceptance, StudyFile
 PASSED, FAILED, NOT_YET = "✓ PASSED", "✗ FAILED", "NOT YET"
 LOOKS: dict[str, Look] = {PASSED: "dark", FAILED: "framed"}
 CONFIDENCE = 0.95  # of the bound on the share of poses within tolerance
-NO_TOLERANCE = "State the required tolerance: the report then says whether the robot passes."
+NO_TOLERANCE = "State the tolerance for acceptance: the report then says whether the robot passes."
 SIMULATED = "Simulated measurements: no robot was measured."
 KELVIN = 273.15
 OPEN = "open: not stated"
@@ -126,7 +126,7 @@ def simulated(request: StudyFile) -> list[Block]:
 def verdict_card(material: Material) -> Card:
     """Return the card on whether the report may be signed."""
     verdict = held_against_tolerance(material)
-    card = verdict.card if verdict else sign_card(NOT_YET, "no tolerance is stated")
+    card = verdict.card if verdict else sign_card(NOT_YET, "no tolerance for acceptance is stated")
     if card.big == PASSED and (missing := unstated(material.request)):
         card = sign_card(NOT_YET, f"{card.small}; not stated: {', '.join(missing)}")
     return replace(card, head="simulated: nothing to sign", look="pale") if is_simulated(material.request) else card
