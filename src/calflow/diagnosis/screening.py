@@ -178,12 +178,12 @@ class _Tested(Stack):
             np.flatnonzero(shown.any(axis=1))
         )
 
-    @property
+    @cached_property
     def degrees_of_freedom(self) -> np.ndarray:
         """Number of directions that the data show, (n_members,)."""
         return np.asarray(np.count_nonzero(self.value, axis=1))
 
-    @property
+    @cached_property
     def share(self) -> np.ndarray:
         """Visible share of each candidate, (n_members,)."""
         return np.sqrt(np.maximum(np.einsum("mii,mi->m", self.information, self.sd**2), 0.0) / self.moved)
