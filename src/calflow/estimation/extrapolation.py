@@ -328,10 +328,11 @@ def beyond_measured(errors: ErrorModel, sizes: SmoothVariances, variance: np.nda
         variance: of each of their parts, (n_parts,).
     """
     result, data, left = sizes.result, sizes.data, _walks(sizes, variance)
-    ranges = tuple(
-        zip(*map(np.ndarray.tolist, (data.joint_angles.min(axis=0), data.joint_angles.max(axis=0))), strict=True)
-    )
-    of_joints = errors.only(lambda function: isinstance(function, OfJoints))
+    angles = data.joint_angles
+    ranges = tuple(zip(angles.min(axis=0).tolist(), angles.max(axis=0).tolist(), strict=True))
+    # Where all other joints were measured up to their limits a function is the same: another one would only cost time.
+    roaming = set(np.flatnonzero(beyond(data.robot.limits.T, angles).any(axis=0)))
+    of_joints = errors.only(lambda function: isinstance(function, OfJoints) and not roaming <= set(function.of))
     others = [Elsewhere(data.robot, type(of).__name__, of.figures_text, ranges) for of in of_joints.functions]
     errors = errors.with_functions(others, of_joints.sd)
     further = [*_beyond_causes(result, data)]
