@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from calflow.deployment import drift as verdict
-from calflow.deployment.drift import Drift, DriftSummary, Moved, Recalibrated, SettlingPose
+from calflow.deployment.drift import CheckedPose, Drift, DriftSummary, Moved, Recalibrated, SettlingPose
 from calflow.reporting.drift_report import drift_lines, seen_from
 
 SUMMARY = DriftSummary(
@@ -66,3 +66,12 @@ def test_a_joint_whose_shift_no_size_reveals_is_told_as_that():
         "A shift of a joint's zero would be found in 95 of 100 checks from this size on: joint 2: 0.084 mrad. No shift of joints 1 "
         "and 3 would be found."
     )
+
+
+def test_the_error_is_of_the_kind_that_was_expected():
+    """Fails if a mean error, which is always the smaller one, is held against an RMS error that was expected."""
+    rows = tuple(CheckedPose(pose=str(k), marker="E", session="", error_mm=error, expected_mm=0.09, left_mm=error)
+                 for k, error in enumerate((0.1, 0.7)))  # fmt: skip
+    still = replace(SUMMARY, status="in place", error_mm=0.4)
+    told = " ".join(drift_lines(Drift((), (), (), rows, (), still)))
+    assert "off by an RMS error of 0.500 mm; 0.090 mm was expected if nothing had moved." in told

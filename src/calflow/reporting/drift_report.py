@@ -55,7 +55,9 @@ def drift_lines(drift: Drift) -> list[str]:
     elif drift.moved:
         lines.append(f"{off}; once that is corrected, {mm(summary.left_mm)} mm is left.")
     else:
-        lines.append(f"{off}; an RMS error of {mm(summary.expected_mm)} mm was expected if nothing had moved.")
+        rms = np.sqrt(np.mean([pose.error_mm**2 for pose in drift.poses]))
+        expected = f"{mm(summary.expected_mm)} mm was expected if nothing had moved"
+        lines.append(f"The check poses are off by an RMS error of {mm(rms)} mm; {expected}.")
     if drift.next_poses:
         number = plural(len(drift.next_poses), "further pose")
         lines.append(f"{number} (next_poses.csv), measured and added to these rows, {_gain(drift)}.")
