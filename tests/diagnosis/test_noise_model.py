@@ -109,8 +109,8 @@ def test_a_joint_that_does_not_repeat_is_not_noise_of_the_device():
     grown = noise_of_residuals(seen)
     noisier = seen.weighed(grown.sigma(seen.data, seen.device)) if grown else seen
     standstills = Standstills.of(noisier, BackgroundBasis.of(seen))
-    at_rest = [standstills.unexplained(k) for k in standstills.joints]
-    (left,) = unexplained(seen, 2e-3, np.random.default_rng(1), lambda _: None, at_rest, standstills.background)
+    rng, at_rest = np.random.default_rng(1), standstills.at_rest(2e-3)
+    (left,) = unexplained(seen, 2e-3, rng, lambda _: None, at_rest, standstills.background)
     assert left.inputs == (POSE, "q2")
     size, low, high = (float(figure) for figure in re.findall(r"[\d.]+", left.detail)[:3])
     assert low < 150 < high < 1.4 * low
@@ -280,4 +280,4 @@ def test_a_device_noisier_along_one_axis_is_no_joint_that_does_not_repeat(axis, 
     """Fails if the depth of a camera, which scatters more than its image, is told as a joint that moves the tool that way."""
     rng = np.random.default_rng(seed)
     seen = fitted(1, lambda table: 4 * SIGMA * rng.standard_normal((len(table), 1)) * np.eye(3)[axis])
-    assert not Standstills.of(seen, BackgroundBasis.of(seen)).significant(2e-3)
+    assert not Standstills.of(seen, BackgroundBasis.of(seen)).at_rest(2e-3)

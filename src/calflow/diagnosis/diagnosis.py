@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from calflow.diagnosis import FALSE_ALARM
 from calflow.diagnosis.background import BackgroundBasis
-from calflow.diagnosis.extension import FittedTrial, extend, largest_first, weighed, weighed_against
+from calflow.diagnosis.extension import FittedTrial, extend, largest_first, unnamed, weighed, weighed_against
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.misfit import MisfitRegion, largest_misfit
 from calflow.diagnosis.noise_model import Growth, NoiseLevels, noise_of_repeats, noise_of_residuals
@@ -268,11 +268,15 @@ def search_causes(
     if shown and (shown.p < alarm or len(standstills.joints)):
         noisier = extended.weighed(shown.sigma(train, start.device))
         standstills = Standstills.of(noisier, basis)
-        if shown.p < alarm and not standstills.significant(significance):
+        if shown.p < alarm and not (standstills.p < significance).any():
             extended, other = noisier, shown.levelled(noisier)
     if other:
         say(f"{other.words}, p = {other.p:.2g}")
-    at_rest = [standstills.unexplained(k) for k in standstills.joints]
+    at_rest = standstills.at_rest(significance)
+    if at_rest and standstills.background is not None:
+        # Of very many forms, one fits errors that differ from standstill to standstill.
+        against = unnamed(standstills.fitted, basis, wanted.variants, varying=standstills.varying)
+        findings = tuple(replace(each, unnamed=min(each.unnamed, against[each.cause])) for each in findings)
     left = unexplained(extended, significance, rng("decoys"), say, at_rest, standstills.background)
     every = Catalogue.of(train, have) if catalogue or leave_out else wanted
     if every is not wanted or extended is not ended.fitted:

@@ -26,7 +26,14 @@ import casadi as ca
 import numpy as np
 import scipy
 
-from calflow.diagnosis.background import BackgroundBasis, Field, components_beside, each_pose, uneven_causes
+from calflow.diagnosis.background import (
+    BackgroundBasis,
+    Field,
+    components_beside,
+    each_pose,
+    uneven_causes,
+    uneven_or_other_forms,
+)
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import Background, principal
 from calflow.diagnosis.screening import MATERIAL, Score, Screening, by_place, place_probabilities
@@ -150,15 +157,18 @@ def unexplained(
     """Return the significant dependences of a fitted model's residual on inputs, the strongest first.
 
     Single functions are tested first, as they show a sharp dependence best; then the background as a whole. Joints that do not
-    repeat, at_rest, are reported only where no function is significant beside their errors, beside, and then alone: to tests that
-    take rows as independent, errors of a pose look like a dependence on many inputs.
+    repeat, at_rest, all significant, are reported where no function is significant beside their errors, beside, and then alone: to
+    tests that take rows as independent, errors of a pose look like a dependence on many inputs. So are they where functions are
+    significant beside these errors alone, which hide them otherwise: then with these functions.
     """
+    surest, beside_rest = list(at_rest), list[UnexplainedStructure]()
+    if beside is not None and surest:
+        beside_rest = _single(replace(fitted, background=beside, shared=0.0), rng)
+    if not beside_rest or beside_rest[0].p < significance:
+        without = [*_single(replace(fitted, background=None), rng), *_together(fitted), *_of_poses(fitted)]
+        shown = any(structure.p < significance for structure in without)
+        surest = without if shown or not beside_rest else [*surest, *beside_rest]
     accepted: list[UnexplainedStructure] = []
-    surest = sorted(at_rest, key=lambda structure: structure.p)
-    seen_beside = replace(fitted, background=beside, shared=0.0)
-    alone = beside is not None and surest[0].p < significance
-    if not alone or any(part.p < significance for part in _single(seen_beside, rng)):
-        surest = [*_single(replace(fitted, background=None), rng), *_together(fitted), *_of_poses(fitted)]
     for structure in surest:
         if structure.p >= significance or structure.share < MATERIAL or len(accepted) == MOST_PARTS:
             continue
@@ -363,28 +373,47 @@ class Standstills:
         """The joints (numbers from 0) whose variance is accepted: they do not repeat."""
         return np.flatnonzero(self.variance[self._first : -self.of_axes] > 0)
 
-    def significant(self, significance: float) -> bool:
-        """Whether any joint does not repeat, at a level of significance."""
-        return any(self.unexplained(k).p < significance for k in self.joints)
+    @cached_property
+    def gains(self) -> np.ndarray:
+        """What each of these joints' errors gains (n_joints,): twice the log likelihood ratio against none of its own.
 
-    def unexplained(self, k: int) -> UnexplainedStructure:
-        """Return the finding that joint k does not repeat, tested against none, with the joints that could take its place."""
-        components, at = self.components, self._first + k
-        size, fewer = self.variance[at], np.where(np.arange(len(self.variance)) == at, 0.0, self.variance)
-        axes = np.arange(len(fewer)) >= len(fewer) - self.of_axes
+        Either model may have errors along all axes instead of those accepted.
+        """
+        if not len(self.joints):
+            return np.zeros(0)
+        components, parts = self.components, np.arange(len(self.variance))
+        usual = self.variance[self._first + self.joints].mean()
+        axes = np.where(parts >= len(parts) - self.of_axes, usual, 0.0)
 
-        def least(some: np.ndarray) -> float:
-            """Return the least cost from these variances, with those of the axes alone or with all axes'."""
-            return min(components.cost(components.most_likely(v)) for v in (some, np.where(axes, size, some)))
+        def likeliest(variance: np.ndarray) -> np.ndarray:
+            """Return the variances of the least cost that are reached from these, or from these and all axes'."""
+            return min(map(components.most_likely, (variance, np.maximum(variance, axes))), key=components.cost)
 
-        whole = min(components.cost(self.variance), least(self.variance))
+        whole = likeliest(self.variance)
+        without = [likeliest(np.where(parts == self._first + k, 0.0, whole)) for k in self.joints]
+        return np.array([components.cost(variance) - components.cost(whole) for variance in without])
 
-        def costs(other: np.ndarray) -> float:
-            return least(other) - whole
+    @property
+    def p(self) -> np.ndarray:
+        """The p-values of these joints' errors (n_joints,), over the choice among all joints."""
+        return np.minimum(1.0, len(self.reach) * 0.5 * scipy.stats.chi2.sf(self.gains, 1))
 
-        gain = costs(fewer)
+    def at_rest(self, significance: float) -> list[UnexplainedStructure]:
+        """Return the findings that joints do not repeat, at a level of significance, the surest first."""
+        return [self._unexplained(which) for which in np.argsort(self.p, kind="stable") if self.p[which] < significance]
+
+    def varying(self, fitted: Fitted, alone: Cause | None = None) -> list[np.ndarray]:
+        """Return how causes may vary (see `uneven_or_other_forms`), and the errors of the joints that do not repeat."""
+        return [*uneven_or_other_forms(fitted, alone), *self.functions[self.joints]]
+
+    def _unexplained(self, which: int) -> UnexplainedStructure:
+        """Return the finding that one of these joints does not repeat, with the joints that could take its place."""
+        components, k = self.components, self.joints[which]
+        at, parts = self._first + k, np.arange(len(self.variance))
+        size, without = self.variance[at], np.where(parts == at, 0.0, self.variance)
         others = [j for j in range(len(self.reach)) if j not in self.joints]
-        instead = [costs(fewer + size * (np.arange(len(fewer)) == self._first + j)) for j in others]
+        in_its_place = [components.most_likely(without + size * (parts == self._first + j)) for j in others]
+        instead = [components.cost(variance) - components.cost(self.variance) for variance in in_its_place]
         odds = np.exp(-np.array(instead) / 2)
         rivals = [j for j, odd in zip(others, odds, strict=True) if odd > SUSPECTED * (1 + odds.sum())]
         sd = SIZE * np.sqrt(size / USUAL * components.level_of(components.posterior(self.variance).chi2))
@@ -394,9 +423,10 @@ class Standstills:
         seen = judged_unit(leading_units(self.fitted.data))
         moved = f"{rounded(float(seen.shown(sd * self.reach[k])))} {seen.label}"
         detail = f"{rounded(factor * sd)} {unit} ({low} to {high}), which moves what is measured by {moved}"
-        p = min(1.0, len(self.reach) * 0.5 * float(scipy.stats.chi2.sf(gain, 1)))
-        share = -float(np.expm1(-gain / self.functions.shape[1]))
-        return UnexplainedStructure((POSE, *(f"q{j + 1}" for j in (k, *rivals))), p, share, (), detail)
+        share = -float(np.expm1(-self.gains[which] / self.functions.shape[1]))
+        return UnexplainedStructure(
+            (POSE, *(f"q{j + 1}" for j in (k, *rivals))), float(self.p[which]), share, (), detail
+        )
 
     @property
     def background(self) -> Background | None:
