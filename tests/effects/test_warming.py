@@ -56,6 +56,14 @@ def test_what_a_robot_may_have_lost_by_then_is_that_of_shifts_and_of_working_aro
         assert_allclose(told, [mean, np.sqrt(square - mean**2)], atol=1e-6)
 
 
+def test_a_robot_may_cool_as_slowly_as_it_works() -> None:
+    """Fails if a time constant of just a shift, or of two, is divided by zero."""
+    for constant in (SHIFT, 2 * SHIFT):
+        near = [heat_lost(ca.DM(9000.0), factor * constant) for factor in (0.999, 1.001)]
+        between = np.mean(np.array(near, dtype=float), axis=0)
+        assert_allclose(np.array(heat_lost(ca.DM(9000.0), constant), dtype=float), between, rtol=1e-5)
+
+
 def test_pauses_are_those_longer_than_the_shortest_warm_up_and_ten_ordinary_gaps() -> None:
     """Fails if slow measuring by hand is taken for pauses, or a pause of an hour is not."""
     ordinary = np.arange(30.0)

@@ -21,6 +21,7 @@ WARMER = 10.0  # K above 20 degC at which an error that is proportional to these
 WARM_UPS = (900.0, 1800.0, 3600.0, 7200.0)  # s: time constants searched
 SHIFT = 8 * 3600.0  # s: how long a robot that works in shifts works on, on average
 IN_SHIFTS = 0.5  # probability that it does, and does not work around the clock
+ALIKE = 1e-6  # relative difference of rates below which they are the same
 
 
 @dataclass(frozen=True)
@@ -129,7 +130,10 @@ def heat_lost(since: ca.SX, constant: float) -> tuple[ca.SX, ca.SX]:
 
     def kept(fading: float) -> ca.SX:
         """Return the mean of exp(-fading · time for which it has stood), zero where it works."""
-        return rate * (ca.exp(-rate * passed) - ca.exp(-fading * passed)) / (fading - rate)
+        faster = fading - rate
+        if abs(faster) < ALIKE * rate:  # the limit of what follows
+            return rate * passed * ca.exp(-rate * passed)
+        return rate * (ca.exp(-rate * passed) - ca.exp(-fading * passed)) / faster
 
     stands = 1 - ca.exp(-rate * passed)
     mean = IN_SHIFTS * (stands - kept(1 / constant))
