@@ -48,7 +48,7 @@ def interval(known, data):
 def test_rivals_of_several_causes_may_all_be_likely():
     """Fails if alternatives whose probabilities add up to more than one end the stage, or leave the intervals as they are."""
     known, data = calibrated()
-    bare = replace(known.model, effects=[e for e in known.model.effects if e != ECCENTRIC])
+    bare = replace(known.model, effects=tuple(e for e in known.model.effects if e != ECCENTRIC))
     other = Alternative(bare, known.estimate[: len(bare.parameters)], 0.6)
     assert interval(replace(known, alternatives=(other, other)), data) > 1.5 * interval(known, data)
 

@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from itertools import islice
+from itertools import islice, takewhile
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -128,20 +128,27 @@ def escaped(text: str) -> str:
 def nearest(word: str, names: Iterable[str]) -> str:
     """Return `, did you mean 'x'?` with the name most similar to a misspelt word, or an empty string.
 
-    A word that is a name's without some of its letters means that: `temperature_C` is no temperature_K.
+    A word that is a name's without some of its letters means that, of several the one that begins like it for longest:
+    `temperature_C` is no temperature_K, `a_mrad` no theta_mrad.
     """
     if len(word) > LONGEST_WORD:  # no name is so long, and the comparison would be slow
         return ""
     spelled = {name.lower(): name for name in islice(names, MOST_COMPARED)}
     close = difflib.get_close_matches(word.lower(), spelled, cutoff=0.5)
-    likeliest = [name for name in close if _is_shortened(word.lower(), name)] or close
-    return f", did you mean '{spelled[likeliest[0]]}'?" if likeliest else ""
+    whole = [name for name in close if _is_shortened(word.lower(), name)]
+    likeliest = max(whole, key=lambda name: _begins_alike(word.lower(), name)) if whole else next(iter(close), "")
+    return f", did you mean '{spelled[likeliest]}'?" if likeliest else ""
 
 
 def _is_shortened(word: str, name: str) -> bool:
     """Whether all letters of a word stand in a name, in their order."""
     left = iter(name)
     return all(letter in left for letter in word)
+
+
+def _begins_alike(word: str, name: str) -> int:
+    """Return with how many letters a word and a name both begin."""
+    return sum(1 for _ in takewhile(lambda letters: letters[0] == letters[1], zip(word, name, strict=False)))
 
 
 def nearest_file(path: Path) -> str:
