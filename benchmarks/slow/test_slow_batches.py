@@ -7,6 +7,8 @@ import shutil
 
 from calflow.fleet.engine import FleetFolder
 from calflow.fleet.standing import read_outcome
+from conftest import _measured  # noqa: F401, a fixture
+from fleet.conftest import plant  # noqa: F401, a fixture
 from fleet.plant import FLEET, ROBOTS, Plant
 
 # An executor plugin of Snakemake's, as a cluster has one: it writes down how many robots each job has, and runs it here.
@@ -46,7 +48,7 @@ class Executor(RemoteExecutor):
 """
 
 
-def test_a_cluster_is_given_so_many_robots_as_one_job_wherever_they_lie(plant, monkeypatch, tmp_path):
+def test_a_cluster_is_given_so_many_robots_as_one_job_wherever_they_lie(plant, monkeypatch, tmp_path):  # noqa: F811
     """Fails if `--batch` does not come to a cluster, gives it a job a robot, or loses a robot of a job.
 
     Nor may jobs fail to learn that data elsewhere are allowed, or Snakemake take braces in a folder's name for a wildcard.
