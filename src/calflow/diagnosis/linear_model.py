@@ -148,22 +148,21 @@ class LinearModel(Generic[H]):
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return u (n_columns, n_draws) and chi² (n_draws,) of residuals (n, n_draws) with the priors' pull (n_free, n_draws).
 
-        If size (n,) is given residuals are multiplied by it, so that draws can be signs, which take little memory. u is in single
-        precision: once regressors are freed of what the model imitates, rounding is far below what draws differ by.
+        If size (n,) is given residuals are multiplied by it, so that draws can be signs, which take little memory.
         """
         r, size = self.regressors, np.ones(len(residual)) if size is None else size
         steps = [slice(start, start + DRAWN_AT_ONCE) for start in range(0, residual.shape[1], DRAWN_AT_ONCE)]
         chi2 = (pull**2 / r.precision[:, None]).sum(axis=0)
         gradient = np.asarray(scipy.linalg.solve_triangular(self._factor, pull, lower=True))
-        score = -self.projected.T.astype(np.float32) @ gradient.astype(np.float32)
+        score = -self.projected.T @ gradient
         for draws in steps:
             drawn = size[:, None] * residual[:, draws]
             gradient[:, draws] += self.prediction_root @ drawn
             chi2[draws] += (drawn**2).sum(axis=0)
         for rows, x in r.matrix.blocks():
-            freed = (size[rows] * (x - self.prediction_root[:, rows].T @ self.projected).T).astype(np.float32)
+            freed = size[rows] * (x - self.prediction_root[:, rows].T @ self.projected).T  # of what the model imitates
             for draws in steps:
-                score[:, draws] += freed @ residual[rows, draws].astype(np.float32)
+                score[:, draws] += freed @ residual[rows, draws]
         return score, chi2 - (gradient**2).sum(axis=0)
 
     def imitation(self, columns: np.ndarray) -> np.ndarray:

@@ -351,7 +351,7 @@ class Screening(Generic[H]):
             place, spent = keys[:, order[first]]
             for start in range(0, DRAWS, DRAWN_AT_ONCE):
                 part = slice(start, start + DRAWN_AT_ONCE)
-                whitened = stack.roots.astype(np.float32) @ score[stack.columns, part]
+                whitened = stack.roots @ score[stack.columns, part]
                 largest = np.maximum.reduceat((whitened**2).sum(axis=1)[order], first, axis=0)
                 p = f_test(largest, chi2[part], spent, n)  # priors are drawn too: nothing is lost
                 np.minimum.at(smallest[:, part], place, p)
