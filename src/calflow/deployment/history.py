@@ -336,7 +336,7 @@ def _lone_change(first: CalibratedModel, second: CalibratedModel, names: tuple[s
     whitening, whitened = difference.whitening, difference.whitening @ difference.value
     own, sd = second.covariance[np.ix_(difference.second, difference.second)], first.model.prior_sd[difference.first]
     shown = whitening @ (np.eye(len(sd)) - own / sd**2)
-    information = (shown**2).sum(axis=0)
+    information = np.maximum((shown**2).sum(axis=0), np.finfo(float).tiny)  # what shows nowhere gains nothing
     shift = shown.T @ whitened / information
     gained = shift**2 * information
     evidence = (gained - np.log1p(information * sd**2)) / 2

@@ -129,5 +129,6 @@ def variable_values(model: Model, variable: Variable, data: Measurements) -> np.
     """Return the values of a cause's variable by the nominal robot (n_rows,), in SI units."""
     rigid = Model(model.robot, (), model.given)
     p, c, at = rigid.symbols
+    # Not by `figures`: it keeps functions by their code, which is the same for all variables.
     value = ca.Function("variable", [p, c], [ca.densify(variable.value(at.state, at.row))])
     return over_rows(value, rigid.nominal, data.conditions)[0].ravel()
