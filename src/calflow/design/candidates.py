@@ -33,8 +33,7 @@ def in_contact(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return readings (n, n_joints) near given ones at which the nominal robot is in contact, and which converged, (n,).
 
-    conditions (n_conditions, n): packed, the readings first. Minimum-norm Gauss-Newton, cycling through the surfaces (see
-    `Observation.touched`).
+    Minimum-norm Gauss-Newton from packed conditions, the readings first, cycling through surfaces (see `Observation.touched`).
     """
     point = model.nominal
     reported = observation.touched(model.point(point, conditions), model.rotation(point, conditions))
@@ -63,11 +62,10 @@ def candidates(
     cell: Cell | None = None,
     say: Say = nobody,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return joint readings (number, n_joints) [rad, or m] and their packed conditions (n_conditions, number).
+    """Return joint readings (number, n_joints) [rad, or m] and their packed conditions (n_conditions, number), by a Sobol sequence.
 
-    They are drawn by a scrambled Sobol sequence over the joints' ranges; region: a box (2, 3) [m] in the measuring
-    frame that must contain the nominal marker. If an observation requires contact, all poses make it. Poses that the
-    cell forbids are rejected, and their number is reported to say.
+    region is a box (2, 3) [m] in the measuring frame that must contain the nominal marker. If an observation requires contact, all
+    poses make it. Poses that the cell forbids are rejected, and their number is reported to say.
 
     Raises:
         InputError: hardly any pose within the joints' ranges reaches the region, or is allowed by the cell.
@@ -117,10 +115,7 @@ def admissible(
     cell: Cell | None,
     observation: Observation | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return which packed rows (n_conditions, n) are within limits and region, seen by an observation, and allowed by the cell.
-
-    This mask is of shape (n,); the cell's refusals (see `Cell.refusals`) are of the rows that all else allows.
-    """
+    """Return which rows (n_conditions, n) are within limits and region, seen and allowed, and the cell's refusals of them."""
     robot, point = model.robot, model.nominal
     angles = conditions[: robot.n_joints].T @ robot.reading_matrix.T
     good = robot.within_limits(angles, ROUNDING)
@@ -137,10 +132,7 @@ def admissible(
 
 
 def packed_conditions(model: Model, readings: np.ndarray, payload: str | np.ndarray, marker: str) -> np.ndarray:
-    """Return packed conditions (n_conditions, n_rows) of readings (n_rows, n_joints), for one marker.
-
-    payload is that of all rows, or of each (n_rows,).
-    """
+    """Return packed conditions (n_conditions, n_rows) of readings (n_rows, n_joints), for a marker and payloads, or one."""
     robot, n = model.robot, len(readings)
     payloads = [np.broadcast_to(np.asarray(payload) == name, n) for name in robot.payloads]
     markers = [np.full(n, float(name == marker)) for name in robot.markers]

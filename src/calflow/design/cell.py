@@ -221,7 +221,6 @@ def _capsules(
 
 
 def _base_pose(robot: Robot) -> np.ndarray:
-    """Return the base's pose in the measuring frame (4, 4)."""
     return placement_matrix([*robot.base.origin, *robot.base.rotation])
 
 
@@ -232,7 +231,6 @@ def _in_drawing(cell: Cell, robot: Robot, points: np.ndarray) -> np.ndarray:
 
 
 def _stations(cell: Cell, robot: Robot) -> Iterator[tuple[CellStation, np.ndarray]]:
-    """Yield each station, and its place (3,) in the base frame."""
     stands = _base_pose(robot)
     for station in cell.stations:
         yield station, (np.array(station.origin) - stands[:3, 3]) @ stands[:3, :3]
@@ -241,10 +239,7 @@ def _stations(cell: Cell, robot: Robot) -> Iterator[tuple[CellStation, np.ndarra
 def lines_of_sight(
     cell: Cell, robot: Robot, point: ca.SX, flange: ca.SX
 ) -> Iterator[tuple[str, ca.SX, tuple[float, float]]]:
-    """Yield the differentiable constraints of each line of sight: the rule, an expression [m, sine or cosine], and its bounds.
-
-    point (3,), flange (3, 3): the reflector, and the orientation of its flange, in the base frame.
-    """
+    """Yield rule, expression [m, sine or cosine] and bounds of each line of sight from point on flange (3, 3), in base frame."""
     axis = flange @ ca.DM(cell.reflector_axis) / np.linalg.norm(cell.reflector_axis)
     for station, place in _stations(cell, robot):
         way = ca.DM(place) - point

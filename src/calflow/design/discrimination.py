@@ -115,10 +115,7 @@ class Question:
 def questions(
     diagnosis: Diagnosis, data: Measurements, rng: Draws, among: Measurements | None = None
 ) -> list[Question]:
-    """Return how to separate each finding from its rivals by poses, of which the same share is fitted as of the data.
-
-    The poses are chosen among given candidates, or among poses drawn in the measured region.
-    """
+    """Return how to separate each finding from its rivals by poses, among these or drawn in the measured region."""
     final = diagnosis.extended
     return [
         question(verdict, final, fitted_share(data), rng(f"poses{k}"), among)
@@ -127,17 +124,15 @@ def questions(
 
 
 def fitted_share(data: Measurements) -> float:
-    """Return the share of the valid rows that is fitted."""
     return float(data.train.sum() / (data.train | data.held_out).sum())
 
 
 def question(
     verdict: Verdict, fitted: Fitted, share: float, rng: np.random.Generator, among: Measurements | None = None
 ) -> Question:
-    """Return how to separate a finding from each of its rivals; share: the share of further poses that will be fitted.
+    """Return how to separate a finding from each rival by poses, of which a share is fitted, among these or drawn in the region.
 
-    The poses are chosen among given candidates, or among poses drawn in the measured region. If none can be sought, the
-    separations state why: that is no reason to abort a diagnosis.
+    If none can be sought, the separations state why: that is no reason to abort a diagnosis.
     """
     cause = verdict.cause
     untested, tested = ([rival for rival in verdict.others if bool(rival.score) is known] for known in (False, True))
@@ -262,10 +257,7 @@ def discrimination(fitted: Fitted, scores: Sequence[Score], choices: Measurement
 def _together(
     explanations: Discrimination, alone: Mapping[Pair, TCriterion]
 ) -> tuple[list[int], dict[Pair, TCriterion]]:
-    """Choose poses that serve as many pairs as possible together, those of the finding (number 0) first.
-
-    alone: the criteria after poses chosen for a single pair.
-    """
+    """Choose poses that serve as many pairs as possible, the finding's (0) first, given criteria by poses for one alone."""
     possible = [pair for pair, criterion in alone.items() if criterion.chance >= ENOUGH]
     left = [(i, k) for i, k in possible if i == 0 or {(0, i), (0, k)} <= set(possible)]
     while any(i == 0 for i, _ in left):
@@ -278,7 +270,6 @@ def _together(
 
 
 def poses_table(questions: Sequence[Question], fitted: Fitted) -> pd.DataFrame:
-    """Return diagnose/next_poses.csv: the poses that separate each finding from its rivals, as far as possible."""
     robot = fitted.model.robot
     names = reading_columns(robot)
     sides = [f"approach{i + 1}" for i in robot.driven] if "approach" in fitted.model.given else []
@@ -309,7 +300,6 @@ def poses_table(questions: Sequence[Question], fitted: Fitted) -> pd.DataFrame:
 
 
 def separations_table(questions: Sequence[Question]) -> pd.DataFrame:
-    """Return diagnose/separations.csv: the separation of each finding from each rival, and what to do."""
     return to_frame([row for asked in questions for row in asked.separations], SeparationRow)
 
 
@@ -321,11 +311,7 @@ def planned_like(fitted: Fitted, share: float) -> Planned:
 
 
 def _choices(fitted: Fitted, observation: Observation, rng: np.random.Generator) -> Measurements:
-    """Draw poses in the measured region, under every payload, with each joint's approach from either side.
-
-    Raises:
-        InputError: hardly any pose lies in the region.
-    """
+    """Draw poses in the measured region, under every payload, with each joint's approach from either side; or raise InputError."""
     data, model = fitted.data, fitted.model
     points = model.point(fitted.fit.estimate, data.conditions)
     region = np.array([points.min(axis=0), points.max(axis=0)])
@@ -343,10 +329,7 @@ def _choices(fitted: Fitted, observation: Observation, rng: np.random.Generator)
 def rows_like(
     data: Measurements, readings: np.ndarray, payloads: Sequence[str], rng: np.random.Generator
 ) -> Measurements:
-    """Return rows of readings (n, n_joints), each under its payload, with each joint's approach from either side.
-
-    Other conditions are drawn from those of the data; times continue after the last row.
-    """
+    """Return rows of readings (n, n_joints), under payloads, approached from either side, with other conditions of the data."""
     robot, came = data.robot, rng.choice([-1.0, 1.0], readings.shape)
     drawn = data.table.iloc[rng.integers(len(data), size=len(readings))].reset_index(drop=True)
     drawn[condition_columns("reading", robot)] = readings

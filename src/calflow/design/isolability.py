@@ -134,10 +134,7 @@ class Isolability:
     indistinguishable: Mapping[Place, Mapping[str, str]]
 
     def table(self, size: float, tried: Mapping[str, Isolability]) -> pd.DataFrame:
-        """Return select/isolability.csv.
-
-        size: of the causes, relative to their usual sizes; tried: the isolability with each addition, by cost.
-        """
+        """Return select/isolability.csv for causes of a size over their usual, and the isolability with each addition."""
         rows: list[IsolabilityCell] = []
         for cause in (*self.causes, *((name, "") for name in self.lacking)):
             own, alike = self.causes.get(cause), self.indistinguishable.get(cause, {})
@@ -252,10 +249,9 @@ def chances(
     draws: int = DRAWS_PER_CAUSE,
     places: Collection[Place] | None = None,
 ) -> tuple[dict[Place, float], dict[tuple[Place, Place], float]]:
-    """Return each place's probability of detection, and each pair's (true, rival) of being distinguished.
+    """Return each place's probability of detection, and each pair's (true, rival) of being distinguished, by common noise draws.
 
-    false_alarm: family-wise false-alarm rate of the tests; all causes share the same noise draws; places: those that
-    may be true, by default all.
+    false_alarm is the family-wise rate of the tests; places are those that may be true, by default all.
     """
     regressors, whole = screening.whole.regressors, screening.whole
     noise = rng.standard_normal((len(regressors.residual), draws))
@@ -306,10 +302,7 @@ def amplitudes(
 def _regressors(
     model: Model, planned: Planned, conditions: np.ndarray, effects: Sequence[Effect], rng: np.random.Generator
 ) -> Regressors[Cause]:
-    """Return the regressors of all candidates at whitened rows (n_conditions, n_rows); the residual is drawn noise.
-
-    Joints have their usual compliance, on which some causes depend.
-    """
+    """Return the regressors of all candidates at rows of drawn noise, with the usual compliance, on which some causes depend."""
     n, sd, point = len(model.parameters), model.prior_sd, model.nominal.copy()
     for effect in model.effects:
         if effect.inevitable:
@@ -342,20 +335,17 @@ def isolability_gaps(table: pd.DataFrame) -> list[str]:
 
 
 def _worst(chances: Sequence[float]) -> int | None:
-    """Return the index of the worst gap, that of not being seen (0) before any other; None where there is no gap."""
     worst = 0 if chances[0] < ENOUGH or len(chances) == 1 else 1 + int(np.argmin(chances[1:]))
     return worst if chances[worst] < ENOUGH else None
 
 
 def _usual(cause: Cause, size: float) -> tuple[float, str]:
-    """Return the simulated size of a cause, and its unit."""
     unit = cause.declared[0].unit
     same = [parameter.prior_sd for parameter in cause.declared if parameter.unit == unit]
     return size * float(np.sqrt(np.mean(np.square(same)))), unit
 
 
 def _closing(tried: Mapping[str, Isolability], cause: Place, rival: Place | None) -> tuple[str, float] | None:
-    """Return the first addition that closes a gap, and the probability with it; None if none does."""
     then = ((words, isolability.chance_of(cause, rival)) for words, isolability in tried.items())
     return next((count for count in then if count[1] >= ENOUGH), None)
 

@@ -54,10 +54,7 @@ def shortest_tour(readings: np.ndarray) -> np.ndarray:
 
 
 def random_blocks(readings: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Order poses in blocks drawn at random from all of them, each on a short tour; shape (n_poses,).
-
-    Drift during the measurement is then uncorrelated with joint positions, and the travel stays bounded.
-    """
+    """Order poses (n_poses,) in blocks drawn at random, each on a short tour: drift is then uncorrelated with joint positions."""
     blocks = np.array_split(rng.permutation(len(readings)), max(1, round(len(readings) / BLOCK_POSES)))
     return np.concatenate([block[shortest_tour(readings[block])] for block in blocks])
 
@@ -87,10 +84,7 @@ class DriftPull:
 
 
 def orders(plan: PlanInformation, rng: np.random.Generator) -> dict[Order, np.ndarray]:
-    """Return the poses' orders (n,): a short tour, and of many in random blocks the one with the least bias by drift.
-
-    Trend-robust orders: Daniel and Wilcoxon 1966. If no positions are measured, the first random order is taken.
-    """
+    """Return orders (n,): a short tour, and of many random ones that with the least bias by drift (Daniel and Wilcoxon 1966)."""
     moved = displacements(plan)
     drawn = [random_blocks(plan.readings, rng) for _ in range(RANDOM_ORDERS if moved else 1)]
     steady = min(drawn, key=lambda order: max((drift_bias(plan, order, way)[0] for way in moved.values()), default=0.0))
@@ -114,10 +108,7 @@ def drift_pulls(plan: PlanInformation, every: Mapping[Order, np.ndarray]) -> lis
 
 
 def displacements(plan: PlanInformation) -> dict[Drifting, np.ndarray]:
-    """Return the displacements of each pose's point by a drift of 1 m (of the robot: on average), (n, 3, n_ways).
-
-    There are none if no positions are measured.
-    """
+    """Return displacements (n, 3, n_ways) of poses' points by a drift of 1 m, of the robot on average; none without positions."""
     if plan.request.planned.observation.units[:3] != (METRE,) * 3:
         return {}
     model = plan.model
@@ -127,10 +118,7 @@ def displacements(plan: PlanInformation) -> dict[Drifting, np.ndarray]:
 
 
 def drift_bias(plan: PlanInformation, order: np.ndarray, moved: np.ndarray) -> tuple[float, int, float]:
-    """Return the tool's bias [m] by the worst displacement (n, 3, n_ways), if it grows steadily in this order.
-
-    With it, the parameter with the largest bias, and that bias in standard deviations.
-    """
+    """Return the tool's bias [m] by the worst steady displacement (n, 3, n_ways), the parameter moved most, and by how many sd."""
     time = np.empty(len(order))
     time[order] = np.linspace(-0.5, 0.5, len(order))
     seen = np.einsum("n,nup,nuk->pk", time, plan.own[:, :3], moved, optimize=True) / plan.request.planned.sigma
@@ -177,10 +165,7 @@ def vias(model: Model, request: SelectionRequest, readings: np.ndarray, rng: np.
 
 
 def reached(readings: np.ndarray, reached_from: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-    """Return each joint's direction of approach and its travel since it last reversed, (n, n_joints) each.
-
-    The poses are in measuring order; reached_from (n, n_joints): their vias, if any.
-    """
+    """Return each joint's direction of approach and travel since it last reversed, (n, n_joints), in order, from vias if any."""
     if reached_from is None:
         return sides_and_travel(readings)
     whole = np.stack([reached_from, readings], axis=1).reshape(-1, readings.shape[1])

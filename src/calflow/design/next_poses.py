@@ -45,10 +45,7 @@ LIKELY = 0.02  # probability from which a suspect is reported
 
 @dataclass(frozen=True, eq=False)
 class Uncertainty:
-    """A source of uncertainty, as directions of unit standard deviation.
-
-    seen (n_poses, n_units, n): whitened Jacobian of the candidate poses; tool (n_points, 3, n) [m]: that of the tool.
-    """
+    """A source of uncertainty, as directions of unit sd at candidates (n_poses, n_units, n) and tool (n_points, 3, n) [m]."""
 
     name: str
     seen: np.ndarray
@@ -95,10 +92,7 @@ def uncertainties(
 def further_poses(
     every: Sequence[Uncertainty], asked: Sequence[Question], choices: Measurements, measure: Measure, number: int
 ) -> Mapping[int, str]:
-    """Choose candidates, by their numbers, each with its reason in words.
-
-    Some separate rivals, if poses can, and the others reduce the tool's variance.
-    """
+    """Choose candidates, by their numbers, with reasons in words: some separate rivals, others reduce the tool's variance."""
     reasons = _discriminating(asked, choices, int(np.ceil(DISCRIMINATING_SHARE * number)))
     seen = np.concatenate([doubt.seen for doubt in every], axis=2)
     tool = np.concatenate([doubt.tool for doubt in every], axis=2)

@@ -59,18 +59,12 @@ class Planned:
         return Planned(observation, sizes[observation.units[0]], PerUnit(tuple(sizes.items())))
 
     def whitened(self, model: Model, p: np.ndarray, conditions: np.ndarray) -> np.ndarray:
-        """Return the whitened Jacobian (n_poses, n_values, n_parameters) of packed conditions (n_conditions, n_poses) at p.
-
-        The model's observations hold the planned one.
-        """
+        """Return the whitened Jacobian (n_poses, n_values, n_parameters) of packed conditions (n_conditions, n_poses) at p."""
         (block,) = self.problem(model, p, conditions).blocks
         return block.linearised(p)[1].reshape(conditions.shape[1], -1, len(p))
 
     def problem(self, model: Model, p: np.ndarray, conditions: np.ndarray) -> LeastSquares:
-        """Return the least squares problem of packed conditions (n_conditions, n_poses) with the predictions at p.
-
-        Every pose has a row for each point that the device sees there. The model's observations hold the planned one.
-        """
+        """Return the problem of packed conditions (n_conditions, n_poses), a row for each point seen, as predicted at p."""
         conditions = np.repeat(conditions, self.observation.n_seen, axis=1)
         reported = self.observation.expected(model.point(p, conditions), model.rotation(p, conditions))
         sigma = np.tile(self.sd[:, None], conditions.shape[1])
@@ -113,11 +107,7 @@ class Task:
         model: Model, payloads: Sequence[str], marker: str, region: np.ndarray | None, number: int,
         rng: np.random.Generator,
     ) -> Task:  # fmt: skip
-        """Return a number of poses drawn over a region (2, 3) [m] of the measuring frame, under each payload.
-
-        Raises:
-            InputError: hardly any pose reaches the region.
-        """
+        """Return a number of poses drawn over a region (2, 3) [m] under each payload; InputError if hardly any reaches it."""
         readings, _ = candidates(model, number, payloads[0], marker, region, rng)
         return Task.of(readings, payloads, marker)
 
@@ -127,10 +117,7 @@ class Task:
         return Task(np.tile(readings, (len(payloads), 1)), np.repeat(payloads, len(readings)), marker)
 
     def criterion(self, model: Model) -> ToolError:
-        """Return the tool's error over the task, of a model whose parameters are scaled by their priors.
-
-        Where only images are planned, without the part that teaching the tool removes, which no image shows.
-        """
+        """Return the tool's error over the task, parameters scaled by priors, for images without what teaching the tool removes."""
         conditions = packed_conditions(model, self.readings, self.payloads, self.marker)
         slopes = model.point_jacobian(model.nominal, conditions) * model.prior_sd
         if model.tool_unseen:

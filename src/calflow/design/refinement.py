@@ -36,9 +36,8 @@ def refined_poses(
 ) -> np.ndarray:
     """Return joint readings (n_poses, n_joints) near those given with a smaller loss; the same if none are found.
 
-    A pose's information must not depend on the reported values, as is true for positions. A pose that ends at a
-    forbidden place (beyond a loop's dead point, or rejected by the cell) is reset, and so are all if that costs more
-    than was gained. If one was reset, each pose takes the largest admissible share of its step that lowers the loss.
+    A pose that ends at a forbidden place (beyond a loop's dead point, or rejected by the cell) is reset, and so are all if that
+    costs more than was gained. If one was reset, each takes the largest admissible share of its step that lowers the loss.
     """
     slope = _slope(model, request)
     if slope is None:

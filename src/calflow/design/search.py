@@ -46,21 +46,17 @@ class Relaxed:
 def relaxed(
     jacobians: np.ndarray, prior: np.ndarray, number: int, criterion: Criterion, start: np.ndarray | None = None
 ) -> Relaxed:
-    """Return the optimal relaxed design of a number of poses, with the best bound met in the iteration.
+    """Return the optimal relaxed design of a number of poses, from weights `start` if given, with the best bound met on the way.
 
-    Torsney's multiplicative algorithm (1983), from weights `start` if given, over a few hundred candidates, to which
-    those of largest sensitivity are added until the equivalence theorem (Kiefer and Wolfowitz 1960) bounds the gap by a
-    thousandth.
+    Torsney's multiplicative algorithm (1983) over a few hundred candidates, to which those of largest sensitivity are added until
+    the equivalence theorem (Kiefer and Wolfowitz 1960) bounds the gap by a thousandth.
     """
     *_, last = _rounds(jacobians, prior, number, criterion, start)
     return last
 
 
 def bound_allows(jacobians: np.ndarray, prior: np.ndarray, number: int, criterion: Criterion, loss: float) -> bool:
-    """Return whether the relaxed design's bound permits that a number of poses reaches a loss.
-
-    The iteration ends as soon as that is decided: by a bound above the loss, or a design that reaches it.
-    """
+    """Return whether the relaxed design's bound permits that a number of poses reaches a loss, as soon as that is decided."""
     for design in _rounds(jacobians, prior, number, criterion, None):
         if design.bound > loss:
             return False
@@ -162,11 +158,7 @@ class SearchResult:
 def search_poses(
     jacobians: np.ndarray, prior: np.ndarray, number: int, criterion: Criterion, rng: np.random.Generator
 ) -> SearchResult:
-    """Choose poses by rounding the relaxed design several times, followed by exchanges.
-
-    jacobians (n_candidates, n_axes, n_parameters): whitened; prior (n_parameters, n_parameters): the prior information
-    matrix.
-    """
+    """Choose poses by rounding the relaxed design several times, followed by exchanges; arguments as of `greedy`."""
     best = relaxed(jacobians, prior, number, criterion)
     # The support of the relaxed design and nearly as good candidates, the best last.
     shortlist = np.lexsort((best.sensitivity, best.weights >= LEAST_WEIGHT))[-max(SHORTLIST, number) :]
@@ -197,11 +189,10 @@ def _drawn(weights: np.ndarray, number: int, rng: np.random.Generator) -> list[i
 def search_worst(
     jacobians: np.ndarray, prior: np.ndarray, number: int, tool: ToolError, rng: np.random.Generator
 ) -> SearchResult:
-    """Choose poses that minimise the tool's largest standard deviation over the task; arguments as of `search_poses`.
+    """Choose poses that minimise the tool's largest standard deviation over the task; arguments as of `greedy`.
 
-    The largest variance is at least any weighted mean: the weights that maximise the least mean are found by
-    multiplying each with its point's variance, and poses are chosen for that mean. Each bound on the mean also bounds
-    the largest.
+    The largest variance is at least any weighted mean: the weights that maximise the least mean are found by multiplying each with
+    its point's variance, and poses are chosen for that mean. Each bound on the mean also bounds the largest.
     """
     shares, weights, bound = tool.shares, None, 0.0
     for _ in range(MINIMAX_ROUNDS):
@@ -219,8 +210,7 @@ def search_worst(
 def greedy(jacobians: np.ndarray, prior: np.ndarray, number: int, criterion: Criterion) -> list[int]:
     """Return candidates chosen greedily, each the one that lowers the loss most.
 
-    jacobians (n_candidates, n_axes, n_parameters): whitened; prior (n_parameters, n_parameters): the prior information
-    matrix.
+    jacobians (n_candidates, n_axes, n_parameters) are whitened, prior (n_parameters, n_parameters) is the prior information.
     """
     basis = _basis(jacobians, prior, [], criterion)
     chosen: list[int] = []

@@ -42,12 +42,10 @@ class Observability:
 
 
 def observability(whitened: np.ndarray, prior: np.ndarray, tool: ToolError, added: bool) -> pd.DataFrame:
-    """Return indices and the tool's expected standard deviation against the number of poses.
+    """Return indices and the tool's expected standard deviation against the number of poses, whitened (n, n_axes, n_parameters).
 
-    whitened (n_poses, n_axes, n_parameters): in order; prior: the information before them. Parameters are scaled by
-    their priors, so an index compares the data with prior knowledge. The standard deviation is the root mean square
-    over the task's poses of the predicted position's, all three axes. For poses added to others the table starts at the
-    first.
+    Parameters are scaled by their priors, so an index compares the data with prior knowledge. The standard deviation is the root
+    mean square over the task's poses, all three axes. For poses added to others the table starts at the first.
     """
     n_parameters = whitened.shape[2]
     singular = np.linalg.svd(whitened.reshape(-1, n_parameters), compute_uv=False)
@@ -226,10 +224,7 @@ def _how_many(plan: PlanInformation, whitened: np.ndarray, curve: pd.DataFrame, 
 def planned_poses(
     model: Model, request: SelectionRequest, readings: np.ndarray, reached_from: np.ndarray | None = None
 ) -> pd.DataFrame:
-    """Return the table of poses in measuring order: readings, directions of approach, and nominal marker positions.
-
-    reached_from (n, n_joints): the vias. Without them the approach of the first pose is unknown, stated as 0.
-    """
+    """Return the table of poses in measuring order, with vias (n, n_joints), without which the first approach is unknown, 0."""
     robot = model.robot
     table: dict[str, object] = {"pose": np.arange(1, len(readings) + 1)}
     names, shown = reading_columns(robot), np.round(shown_readings(robot, readings), 4)

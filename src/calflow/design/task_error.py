@@ -205,10 +205,7 @@ def _noise_levels(fitted: Fitted, rng: np.random.Generator) -> np.ndarray:
 
 
 def independent_sizes(fitted: Fitted) -> tuple[np.ndarray, np.ndarray]:
-    """Return sizes of an independent error of each pose over a known noise, none first, and their probabilities, by chi².
-
-    A priori there is none as likely as one of any of SIZES over the noise that is visible.
-    """
+    """Return sizes of an independent error of each pose over a known noise, none first, as likely, and their probabilities."""
     if not fitted.noise.known:
         return np.zeros(1), np.ones(1)
     sizes, residual = np.append(0.0, SIZES[SIZES**2 > VISIBLE]), fitted.alone.residual

@@ -195,11 +195,7 @@ def knee(numbers: np.ndarray, errors: np.ndarray) -> int:
 def poses_for_tolerance(
     jacobians: np.ndarray, prior: np.ndarray, tool: ToolError, tolerance: float, rng: np.random.Generator
 ) -> tuple[int | None, int | None]:
-    """Return the number of poses that meets a tolerance [m] of the tool's error, and a lower bound for any choice.
-
-    None if none do. The bound is the least number permitted by `bound_allows`; from there poses are chosen until they
-    meet the tolerance.
-    """
+    """Return the number of poses that meets a tolerance [m], and a lower bound for any choice (`bound_allows`); None: none do."""
 
     def possible(number: int) -> bool:
         return bound_allows(jacobians, prior, number, tool, tolerance)

@@ -60,16 +60,13 @@ class Field(SmoothFunction):
 
     @property
     def spectrum(self) -> np.ndarray:
-        """Equal standard deviations, which make the whole as large as one function at a part's usual variance."""
         return np.full(len(self.declared), (USUAL * self.n_waves) ** -0.5)
 
     @property
     def units(self) -> Sequence[str]:
-        """Those of cosines, then sines, along each axis."""
         return 6 * self.n_waves * ["m"]
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
-        """Return the deflection with the arm shifted, if there is only one."""
         if len(self.robot.tips) > 1:
             return still
         link = ca.SX(still.link)
@@ -77,7 +74,6 @@ class Field(SmoothFunction):
         return replace(still, link=link)
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
-        """Return the shifted point of several arms."""
         return point + self._shift(p, row.q) if len(self.robot.tips) > 1 else point
 
     def _shift(self, p: ca.SX, q: ca.SX) -> ca.SX:
@@ -158,10 +154,7 @@ def fields(fitted: Fitted) -> list[SmoothFunction]:
 
 
 def at_poses(shifts: np.ndarray, columns: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """Return the least-squares shifts of poses that match columns (n, n_columns) of residuals, (n_poses, 3, n_columns).
-
-    shifts (n, 3) are the residuals' derivatives by shifts along three axes; pose (n,) numbers the residuals' poses.
-    """
+    """Return the shifts of poses (n,) that match columns of residuals best, given the slopes (n, 3), (n_poses, 3, n_columns)."""
     seen = np.zeros((pose.max() + 1, 3, 3 + columns.shape[1]))
     np.add.at(seen, pose, shifts[:, :, None] * np.hstack([shifts, columns])[:, None])
     return np.asarray(np.linalg.pinv(seen[:, :, :3], hermitian=True) @ seen[:, :, 3:])
@@ -209,10 +202,7 @@ def each_pose(functions: np.ndarray, pose: np.ndarray) -> np.ndarray:
 
 
 def beside_background(fitted: Fitted, basis: BackgroundBasis) -> Fitted:
-    """Return a fitted model with the intraclass correlation that is likeliest beside a background.
-
-    Estimated from the residual alone, it would also hold errors that are smooth from pose to pose.
-    """
+    """Return a model with the likeliest intraclass correlation beside a background; else that also holds its smooth errors."""
     alone = replace(fitted, shared=None).intraclass
     best = replace(fitted, background=None, shared=alone)
     if not alone:
@@ -235,8 +225,8 @@ def _named_in(fitted: Fitted) -> list[str]:
 def background(fitted: Fitted, basis: BackgroundBasis, without: Collection[str] = ()) -> Background | None:
     """Return the smooth background that a fitted model leaves, without some inputs; None where the data show none.
 
-    It has no part of an input of which one of the causes, or its family, is a general smooth function. Uneven amplitudes are not
-    in it either: tests beside these would ask whether a cause acts alike at all poses.
+    It has no part of an input of which one of the causes, or its family, is a general smooth function, nor uneven amplitudes:
+    tests beside these would ask whether a cause acts alike at all poses.
     """
     sizes = Sizes.beside(fitted, basis)
     variance = sizes.accepted([*_named_in(fitted), *without])
@@ -322,14 +312,13 @@ class Sizes:
         )
 
     def likeliest(self, freedom: float, without: Collection[str]) -> float:
-        """Return the evidence with the accepted variances, zero for some inputs; freedom as of `evidence`."""
+        """Return the evidence with the accepted variances, zero for some inputs."""
         return self.evidence(self.accepted(without), freedom)
 
     def evidence(self, variance: np.ndarray, freedom: float) -> float:
-        """Return minus twice the log marginal likelihood, comparable between models of different parameters.
+        """Return minus twice the log marginal likelihood, the model's parameters integrated out, for comparison between models.
 
-        The model's parameters are integrated out as the basis amplitudes are. freedom are the residual degrees of freedom of the
-        smallest of the models compared (see `log_likelihood`).
+        freedom are the residual degrees of freedom of the smallest of the models compared (see `log_likelihood`).
         """
         posterior = self.components.posterior(variance)
         shared = self.problem.log_determinant

@@ -107,7 +107,6 @@ def candidates_table(diagnosis: Diagnosis, data: Measurements, rng: np.random.Ge
 
 
 def _noise(kind: type[Effect], grown: Growth | None) -> CandidateRow:
-    """Return the row of a model of the noise, of which growth with range is tested."""
     if kind.grows_with != RANGE:
         return CandidateRow(cause=kind.id, note=f"not testable: only noise that grows with {RANGE} is looked for")
     if grown is None:
@@ -149,7 +148,7 @@ def detection_limits(
 
 
 def _limit(shown: np.ndarray, needed: float, threshold: float, spent: float, left: float) -> float:
-    """Return the size at which causes pass 95 times in 100 on average; shown (n,): the noncentrality of each at size 1."""
+    """Return the size at which causes of noncentralities shown (n,) at size 1 pass 95 times in 100 on average."""
     if np.isnan(needed):
         return NAN
     low, high = (float(np.log(needed / end) / 2) for end in (shown.max(), shown.min()))
@@ -202,10 +201,7 @@ class CurvePoint:
 
 
 def curves(final: Fitted, causes: Sequence[Cause], data: Measurements) -> pd.DataFrame:
-    """Return one row per measured row and finding: the error along the direction in which the cause moves the tool.
-
-    after is the extended model's residual there, measured minus predicted; fitted is the cause's contribution, before their sum.
-    """
+    """Return one row per measured row and finding: the error along the direction in which the cause moves the tool."""
     model, estimate = final.model, final.fit.estimate
     left = -np.nan_to_num(errors(model, estimate, data))
     model, estimate = completed(model, estimate, data)
@@ -284,7 +280,6 @@ class CauseProbability:
 
 
 def models_table(models: Sequence[ModelInReach]) -> pd.DataFrame:
-    """Return the table of `ModelRow`s of the models in reach, of which the first is the one found."""
     rows = [
         ModelRow(
             model=number, change=model.change, causes=tuple(cause.id for cause in model.causes),
@@ -299,7 +294,6 @@ def models_table(models: Sequence[ModelInReach]) -> pd.DataFrame:
 
 
 def cause_table(models: Sequence[ModelInReach]) -> pd.DataFrame:
-    """Return the table of `CauseProbability`s of the models in reach, of which the first is the one found."""
     acting = {cause.place: cause for model in reversed(models) for cause in reversed(model.causes)}
     rows = []
     for place, cause in reversed(acting.items()):

@@ -38,7 +38,6 @@ class CarriedOver:
 
     @property
     def holds(self) -> bool:
-        """Whether the cause carries over."""
         return max(self.gain) > 0 and self.p > WORSE
 
 
@@ -70,7 +69,6 @@ class LeftOutBlock:
 
     @staticmethod
     def each(model: LinearModel[Cause], block: np.ndarray) -> list[LeftOutBlock]:
-        """Return the blocks of residuals numbered by block (n,)."""
         blocks = []
         for rows in (np.flatnonzero(block == number) for number in np.unique(block)):
             root = model.prediction_root[:, rows]
@@ -91,10 +89,7 @@ class LeftOutBlock:
         return self.predicted(self.residual)
 
     def without(self, along: np.ndarray, value: np.ndarray) -> np.ndarray:
-        """Return the errors (n_own,) of the model without some parameters of these estimates by the fit to all, value (n,).
-
-        along (n_free, n) is a root of their covariance.
-        """
+        """Return the errors (n_own,) without parameters of a value (n,) by the fit to all, given a root of their covariance."""
         moved = self.root.T @ along
         told, estimate = self.predicted(moved), value + moved.T @ self.error
         return self.error - told @ np.linalg.solve(along.T @ along + moved.T @ told, estimate)
@@ -120,7 +115,6 @@ def carried_over(
 
 
 def carrying(fitted: Fitted, basis: BackgroundBasis, causes: Iterable[Cause]) -> Iterator[bool]:
-    """Yield whether each of some causes of the model carries over."""
     beside = LinearModel(fitted.alone.beside(background(fitted, basis), fitted.problem.weight))
     kinds = [LeftOutBlock.each(beside, kind) for kind in pose_blocks(fitted)]
     yield from (carried_over(fitted, cause, beside, kinds).holds for cause in causes)

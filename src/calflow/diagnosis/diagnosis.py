@@ -76,21 +76,18 @@ class Diagnosis:
 
     @property
     def growth(self) -> Growth | None:
-        """The noise's growth with range."""
         return self.noise if isinstance(self.noise, Growth) else None
 
     @property
     def levels(self) -> NoiseLevels | None:
-        """The noise of set-ups that are noisier than others."""
         return self.noise if isinstance(self.noise, NoiseLevels) else None
 
     @property
     def upper_limit(self) -> float:
         """Upper 95 % confidence limit of the error at new poses [m]; nan where it is unknown.
 
-        A cause in whose place, by the evidence, an unnamed error acts with a probability of more than 5 % is not relied on: the
-        limit is no less than that of the model without it. Nor does the noise tell how large errors are where another model is as
-        probable.
+        It is no less than that of the model without a cause in whose place, by the evidence, an unnamed error acts with more than
+        5 %. Nor does the noise tell how large errors are where another model is as probable.
         """
         final = self.final or self.extended
         unnamed = {verdict.cause: verdict.of_unnamed for verdict in self.verdicts[: self.n_deployed]}
@@ -166,8 +163,7 @@ def extended_model(diagnosis: Diagnosis, calibrated: CalibratedModel, data: Meas
 
 
 def accuracy_table(diagnosis: Diagnosis, data: Measurements, before: Sequence[Accuracy]) -> pd.DataFrame:
-    """Return the accuracy of the previous models, and one step for each deployed cause, by the rows of which it is decided whether
-    a step acts.
+    """Return the previous models' accuracy, and a step for each deployed cause, by the rows of which it is decided whether it acts.
 
     Without a cause the last of the previous models is the one that was fitted again with the noise found.
     """

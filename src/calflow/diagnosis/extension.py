@@ -53,12 +53,10 @@ class FittedTrial(Trial[Cause]):
 
     @property
     def causes(self) -> tuple[Cause, ...]:
-        """Its causes."""
         return self.fitted.causes
 
     @cached_property
     def linearisation(self) -> Linearisation[Cause]:
-        """The linearised model."""
         return Linearisation.at(self.fitted, self.catalogue.effects)
 
     @cached_property
@@ -77,7 +75,6 @@ class FittedTrial(Trial[Cause]):
 
     @cached_property
     def own_findings(self) -> tuple[Detection[Cause], ...]:
-        """Its causes, each with the scores of its own place alone."""
         family = self.first.family
         return tuple(self.linearisation.finding(cause, family, [cause.place]) for cause in self.causes)
 
@@ -89,17 +86,13 @@ class FittedTrial(Trial[Cause]):
         return replace(self, fitted=self.fitted.with_causes(causes, start, added.explained))
 
     def finest(self, score: Score[Cause]) -> Score[Cause]:
-        """Return the score of a candidate's best form beside the causes, between its neighbours in the scan."""
         if not (finer := self._finer(score.cause)):
             return score
         near = Linearisation.at(self.fitted, (score.cause, *finer)).forms(self.causes, score.cause.place)
         return near[0] if near and near[0].cause != score.cause else score
 
     def refined(self) -> list[Cause]:
-        """Return the causes with every variant refined that is clearly better beside the others.
-
-        Each takes its best variant beside the present variants of the others, linear, without a refit.
-        """
+        """Return the causes, each in its best variant beside the present ones of the others, if that is clearly better."""
         now = list(self.causes)
         for _ in range(FINER_STEPS):
             before, finer = list(now), [self._finer(cause) for cause in now]
@@ -176,10 +169,7 @@ def weighed_against(findings: Sequence[Detection[Cause]], wider: FittedTrial) ->
 
 
 def largest_first(findings: Sequence[Detection[Cause]], fit: Fit) -> list[Detection[Cause]]:
-    """Return the findings sorted by the increase of chi² without each, under independent noise.
-
-    The order of the search differs: beside a background, or after an exchange of causes, a large one may come late.
-    """
+    """Return the findings by the rise of chi² without each; the search may come late to a large one, as after an exchange."""
 
     def explained(finding: Detection[Cause]) -> float:
         return fit.from_zero(fit.model.columns(finding.cause), fit.covariance)
@@ -194,13 +184,11 @@ def unnamed(
     same_in: Callable[[Cause], Collection[str]] = lambda cause: cause.effect.smooth_in,
     varying: Varying = uneven_causes,
 ) -> dict[Cause, float]:
-    """Return twice the log evidence of each cause against a background in its place.
+    """Return twice the log evidence of each cause against a background in its place, negative where that explains the data better.
 
-    It is negative where an unnamed error explains the data better. Each model has its own likeliest background; parameters are
-    integrated out by Laplace's approximation, as the background's amplitudes are, so that a smooth curve of many waves and a
-    background of as many are treated alike. A background along an input of which the cause is a general smooth function would be
-    the same without a name, and is no rival: same_in returns these inputs. variants are the numbers of forms tried at each place;
-    varying returns how the causes' effects may vary beside the background. Linear, without a refit.
+    Each model has its own likeliest background; parameters are integrated out by Laplace's approximation, as the background's
+    amplitudes are. A background along an input of which the cause is a general smooth function (same_in) would be the same
+    without a name, and is no rival. varying returns how the causes' effects may vary beside the background.
     """
     evidence = dict[Cause, float]()
     for cause in fitted.causes:
@@ -215,10 +203,7 @@ def unnamed(
 def _relative_amplitudes(
     fitted: Fitted, cause: Cause, estimate: np.ndarray, variants: Mapping[Place, int]
 ) -> tuple[np.ndarray, int, float]:
-    """Return the amplitudes of a model's cause at an estimate, the number of forms that were tried at its place, and its scale.
-
-    They are over their prior standard deviations, nan at a bound (see `spent`).
-    """
+    """Return what `spent` asks of a cause: amplitudes over their prior deviations, nan at a bound, forms tried, and scale."""
     model, columns = fitted.model, fitted.model.columns(cause)
     sizes = (estimate[columns] - model.prior_mean[columns]) / model.prior_sd[columns]
     return np.where(fitted.fit.at_bound[columns], np.nan, sizes), variants.get(cause.place, 1), cause.scale
@@ -295,10 +280,7 @@ def _named_instead(trial: FittedTrial, basis: BackgroundBasis, search: Stepwise)
 
 
 def _weakest(fitted: Fitted, basis: BackgroundBasis, variants: Mapping[Place, int]) -> Cause | None:
-    """Return the weakest cause that loses against a background, or else that does not carry over, if there is one.
-
-    Along the inputs of which its family is a general smooth function, no unnamed error replaces it: that would be another member.
-    """
+    """Return the weakest cause that loses against a background, or else that does not carry over, if there is one."""
     against = unnamed(fitted, basis, variants, lambda cause: cause.effect.named_in())
     weakest = sorted(against, key=lambda cause: against[cause])
     if not weakest or against[weakest[0]] < 0:

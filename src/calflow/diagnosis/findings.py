@@ -137,7 +137,6 @@ class Finding:
 
     @staticmethod
     def of_rivals(rivals: Sequence[NamedCause]) -> dict[str, Any]:
-        """Return the fields that hold these rivals."""
         labels, causes = tuple(rival.label for rival in rivals), tuple(rival.cause for rival in rivals)
         return {"rival_labels": labels, "rival_causes": causes, "rival_joints": tuple(rival.joint for rival in rivals)}
 
@@ -163,7 +162,6 @@ class Finding:
 
     @property
     def is_structure(self) -> bool:
-        """Whether it is unexplained structure, which depends on an input."""
         return self.status == "unexplained" and bool(self.inputs)
 
     @property
@@ -300,7 +298,6 @@ class Finding:
 
 
 def _one_of(names: Sequence[str], most: int = 3) -> str:
-    """Return alternatives in words, at most so many by name."""
     return " or ".join(names[:most]) + (" or another cause" if len(names) > most else "")
 
 
@@ -319,8 +316,8 @@ def findings(
 ) -> tuple[Finding, ...]:
     """Return the findings: data faults, causes, growth of the noise, lack of fit and unexplained structure.
 
-    calibrated is the identified model, against which gains count, as in accuracy.csv. While a mistake of the user is unsettled,
-    residuals reveal no more than that, and the faults are the only findings.
+    Gains count against the identified model, calibrated. While a mistake of the user is unsettled, residuals reveal no more than
+    that, and the faults are the only findings.
     """
     heldout, final = data.only(data.held_out), diagnosis.extended
     rows = [_fault(group) for _, group in faults.groupby(["cause", "joint", "action", "statement"], sort=False)]

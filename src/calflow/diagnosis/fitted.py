@@ -56,7 +56,6 @@ class Fitted:
 
     @property
     def model(self) -> Model:
-        """The fitted model."""
         return self.fit.model
 
     @property
@@ -66,10 +65,7 @@ class Fitted:
         return np.asarray(pose * len(self.data.series) + self.data.series_number)
 
     def regressors(self, effects: Sequence[Effect], at: Fit | None = None) -> Regressors[Cause]:
-        """Return the model linearised with these effects at zero, beside its background.
-
-        at is another estimate of the model than its own.
-        """
+        """Return the model, at another estimate if asked, linearised with these effects at zero, beside its background."""
         return Regressors.of(at or self.fit, self.problem, effects, self.poses, self.background)
 
     def still(self, cause: Cause) -> Fitted:
@@ -92,7 +88,6 @@ class Fitted:
 
     @cached_property
     def smooth(self) -> SmoothVariances:
-        """The variances of smooth errors beside the model."""
         return self.smooth_in()
 
     def smooth_in(self, parts: Sequence[Part] = ()) -> SmoothVariances:
@@ -102,10 +97,7 @@ class Fitted:
     def with_smooth_errors(
         self, variance: np.ndarray, elsewhere: PerUnit = NO_DISCREPANCY
     ) -> tuple[np.ndarray, ErrorModel]:
-        """Return the estimate's covariance and the error model with smooth errors of given variances (n_parts,).
-
-        elsewhere: excess of leave-one-pose-out errors, see `beside_smooth_errors`.
-        """
+        """Return the estimate's covariance and error model with smooth errors of variance (n_parts,) (`beside_smooth_errors`)."""
         unsure, errors = beside_smooth_errors(self.smooth, variance, elsewhere)
         covariance = replace(self.fit, information=unsure.information).covariance
         return covariance, beyond_measured(errors, self.smooth, variance)
@@ -120,7 +112,6 @@ class Fitted:
 
     @property
     def errors(self) -> ErrorModel:
-        """The error model, beyond the device's noise."""
         return self._beside[1]
 
     @property
@@ -130,7 +121,6 @@ class Fitted:
 
     @cached_property
     def left_out(self) -> LeftOut:
-        """Leave-one-pose-out errors of the training poses."""
         return left_out(self.fit, self.poses)
 
     @cached_property
@@ -213,7 +203,6 @@ class Fitted:
         return tuple(effect for effect in self.model.effects if not isinstance(effect, Cause))
 
     def own(self, cause: Cause) -> tuple[np.ndarray, np.ndarray]:
-        """Return the indices of a cause's parameters among the free ones, and their estimates."""
         free = np.flatnonzero(~self.fit.at_bound)
         columns = np.flatnonzero(np.isin(free, self.model.columns(cause)))
         return columns, self.fit.estimate[free[columns]]
@@ -237,8 +226,8 @@ class Fitted:
     def with_causes(self, causes: Sequence[Cause], start: np.ndarray | None = None, share: float = 0.0) -> Fitted:
         """Return the model with these causes beside the study's effects, fitted by IPOPT unless cached.
 
-        It starts from the present estimates, new causes at zero, or from start. share is the expected reduction of chi² as a
-        share: an unknown noise starts smaller accordingly, and settles at once.
+        It starts from the present estimates, new causes at zero, or from start. An unknown noise starts smaller by the share of
+        chi² that is expected to go, and settles at once.
         """
         held = frozenset(causes)
         if held not in self.visited:
@@ -275,10 +264,9 @@ def _settled(
     outlier_factor: np.ndarray = ALIKE,
     discrepancy: PerUnit = NO_DISCREPANCY,
 ) -> Fitted:
-    """Return the fit from a start, with rows beyond HUBER standard deviations weighted as by Huber (1964).
+    """Return the fit from a start, with rows beyond HUBER standard deviations weighted as by Huber (1964), priors scaled.
 
-    The priors of its causes are on their likeliest scales. outlier_factor (n_rows,) is the factor by which rows exceeded that in
-    the fit before, and discrepancy that fit's.
+    outlier_factor (n_rows,) is the factor by which rows exceeded that in the fit before, and discrepancy that fit's.
     """
     for _ in range(WEIGHINGS):
         weighed = _down_weighted(device, outlier_factor, discrepancy)
@@ -293,10 +281,7 @@ def _settled(
 
 
 def _down_weighted(device: Noise, factor: np.ndarray, discrepancy: PerUnit) -> Noise:
-    """Return the device's noise enlarged so that each row's total, discrepancy included, grows by its factor (n_rows,).
-
-    A factor of the device's noise alone would leave an outlier its weight where the model's own error is larger.
-    """
+    """Return noise by which each row's total, discrepancy included, grows by its factor: else an outlier keeps its weight."""
     total = replace(device, discrepancy=discrepancy).total
     return replace(device, sigma=np.sqrt(device.sigma**2 + (factor**2 - 1) * total**2))
 

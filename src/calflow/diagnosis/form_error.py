@@ -89,7 +89,6 @@ class _Form:
 
     @property
     def width(self) -> int:
-        """Number of its regressors, those of its form error included."""
         return len(self.columns) + self.variations.shape[1]
 
     def regressors(self, rows: Rows, x: np.ndarray) -> np.ndarray:
@@ -109,10 +108,9 @@ class _Form:
 
 
 def variations(cause: Cause, fitted: Fitted) -> np.ndarray:
-    """Return smooth functions of what a cause acts through, its form error at a standard deviation of one, (n_rows, n).
+    """Return smooth functions (n_rows, n) of what a cause acts through, its form error at a standard deviation of one.
 
-    They are Legendre polynomials of its variable over the measured range, the higher the smaller; of each joint's reading, if it
-    has none.
+    They are Legendre polynomials of its variable over the measured range, the higher the smaller, or of each joint's reading.
     """
     variable = cause.effect.variable(cause.joint)
     alone = variable is not IN_ORDER or cause.of_measuring()

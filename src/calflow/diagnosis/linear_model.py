@@ -37,7 +37,6 @@ class Stack:
     bounds: np.ndarray
 
     def only(self, which: np.ndarray) -> Self:
-        """Return some of the candidates, given by indices (n,)."""
         return replace(self, **{field.name: getattr(self, field.name)[which] for field in fields(self)})
 
 
@@ -146,9 +145,9 @@ class LinearModel(Generic[H]):
     def settled(
         self, residual: np.ndarray, pull: np.ndarray, size: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return u (n_columns, n_draws) and chi² (n_draws,) of residuals (n, n_draws) with the priors' pull (n_free, n_draws).
+        """Return u (n_columns, n_draws) and chi² (n_draws,) of residuals (n, n_draws) times size (n,), so that draws can be signs.
 
-        If size (n,) is given residuals are multiplied by it, so that draws can be signs, which take little memory.
+        pull (n_free, n_draws) is that of the priors.
         """
         r, size = self.regressors, np.ones(len(residual)) if size is None else size
         steps = [slice(start, start + DRAWN_AT_ONCE) for start in range(0, residual.shape[1], DRAWN_AT_ONCE)]
@@ -171,10 +170,7 @@ class LinearModel(Generic[H]):
         return np.delete(change, self.regressors.random, axis=0)
 
     def amplitudes(self, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the posterior probabilities of SIZES (n_sizes,) of some columns, if they act, and for each their amplitudes.
-
-        Means are of shape (n_sizes, n), covariances (n_sizes, n, n).
-        """
+        """Return posterior probabilities of SIZES of some columns, means (n_sizes, n) and covariances (n_sizes, n, n) for each."""
         sd = self.regressors.prior_sd[columns]
         shown, score = self.information(columns) * np.outer(sd, sd), sd * self.score[columns]
         fallen, narrowed = explained(*directions(shown, score))

@@ -44,7 +44,6 @@ class MisfitRegion:
 
     @property
     def is_of_measuring(self) -> bool:
-        """Whether it is a device or a session."""
         return self.input in OF_MEASURING
 
     @property
@@ -73,7 +72,6 @@ class _Input:
 
     @property
     def is_label(self) -> bool:
-        """Whether it has labels."""
         return self.values.dtype == object
 
     def regions(self) -> Iterator[np.ndarray]:
@@ -87,9 +85,8 @@ class _Input:
 
 
 def largest_misfit(fitted: Fitted, rng: np.random.Generator, along: Collection[str] = ()) -> MisfitRegion | None:
-    """Return the region with the largest residuals of a fitted model; None where it is not significant.
+    """Return the region with the largest residuals, along what unexplained structure depends on, else all; None if not significant.
 
-    It is sought along the inputs on which unexplained structure depends, or where none does along all.
     Mean squared whitened residuals inside and outside a region are compared as variances, by their likelihood ratio; its p-value is
     by permutation of the poses (Fisher 1935), times the number of inputs.
     """
@@ -104,10 +101,7 @@ def largest_misfit(fitted: Fitted, rng: np.random.Generator, along: Collection[s
 def _worst(
     candidate: _Input, squared: np.ndarray, number: np.ndarray, poses: np.ndarray, rng: np.random.Generator
 ) -> tuple[float, float, np.ndarray]:
-    """Return an input's region with the largest residuals: its p-value, minus its likelihood ratio, and its rows (n_rows,).
-
-    Rows of a pose are permuted together. Without a region the p-value is infinite.
-    """
+    """Return an input's worst region: p-value, by permuting poses, minus its likelihood ratio, and rows (n_rows,); or infinity."""
     constant = (pd.Series(candidate.values).groupby(poses).nunique() == 1).all()
     groups = poses if constant else np.arange(len(squared))
     _, first, group = np.unique(groups, return_index=True, return_inverse=True)
@@ -137,7 +131,6 @@ def _likelihood_ratio(inside: np.ndarray, total: np.ndarray, count: np.ndarray) 
 
 
 def _inputs(fitted: Fitted) -> list[_Input]:
-    """Return the inputs along which regions are searched for: joints, place, time or order, and labels."""
     data = fitted.data
     shown = zip(data.joint_angles.T, (joint.shown for joint in data.robot.joints), strict=True)
     inputs = [_Input(f"q{i}", factor * angles, unit) for i, (angles, (unit, factor)) in enumerate(shown, start=1)]

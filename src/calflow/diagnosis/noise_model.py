@@ -43,7 +43,6 @@ class Growth:
 
     @property
     def words(self) -> str:
-        """The growth in words."""
         return f"the noise grows with range: {rounded(1e6 * self.slope)} µm/m"
 
     def sigma(self, data: Measurements, device: Noise) -> np.ndarray:
@@ -81,7 +80,6 @@ class SetUps:
 
     @property
     def compared(self) -> bool:
-        """Whether any two are."""
         seen = np.unique(np.stack([self.within, self.number]), axis=1)
         return seen.shape[1] > len(np.unique(self.within))
 
@@ -116,16 +114,13 @@ class NoiseLevels:
         return f"the noise differs between {between}: up to {rounded(largest)} times the quietest one's"
 
     def factor(self, data: Measurements) -> np.ndarray:
-        """Return each row's factor (n_rows,)."""
         of_row = zip(data.series_number, data.labels(self.label), strict=True)
         return np.array([self.factors[series].get(name, 1.0) for series, name in of_row])
 
     def sigma(self, data: Measurements, device: Noise) -> np.ndarray:
-        """Return each row's standard deviation per axis [leading unit]."""
         return device.sigma * self.factor(data)
 
     def devices(self, devices: Sequence[SeriesNoise], data: Measurements) -> tuple[SeriesNoise, ...]:
-        """Return the noise of each series with these factors."""
         factor = self.factor(data) ** 2
         return tuple(
             replace(
@@ -138,7 +133,6 @@ class NoiseLevels:
         )
 
     def levelled(self, _: Fitted) -> NoiseLevels:
-        """Return the factors themselves: they are those of a model fitted with them."""
         return self
 
     def doubts(self, data: Measurements, stated: Noise) -> Iterator[NoiseDoubt]:
@@ -208,7 +202,6 @@ def noise_of_residuals(fitted: Fitted) -> Growth | NoiseLevels | None:
 
 
 def _likelier(one: Kind | None, other: NoiseLevels | None) -> Kind | NoiseLevels | None:
-    """Return the more significant of two, at a p-value for both."""
     if one and other:
         p = min(1.0, 2 * min(one.p, other.p))
         return replace(one, p=p) if one.p < other.p else replace(other, p=p)
@@ -216,7 +209,6 @@ def _likelier(one: Kind | None, other: NoiseLevels | None) -> Kind | NoiseLevels
 
 
 def levels_of_residuals(fitted: Fitted) -> NoiseLevels | None:
-    """Return the noise of sessions or markers by residuals without their smooth part, those of a model that is fitted with it."""
     return _likelier(*(_settled(fitted, each) for each in SetUps.every(fitted.data)))
 
 
@@ -355,7 +347,6 @@ def _smooth_functions(fitted: Fitted, rows: np.ndarray) -> np.ndarray:
 
 
 def _fitted(sizes: ErrorSizes, distance: np.ndarray, p: float) -> Growth:
-    """Return the maximum-likelihood floor and slope, by their logarithms."""
     middle = float(np.sqrt(np.median(sizes.squared / sizes.freedom)))
     start = np.log([middle / 2, middle / 2 / np.mean(distance)])
     x = ca.MX.sym("x", 2)

@@ -72,11 +72,9 @@ class CauseAcceptance:
         return score.cost < 0 and score.share > family.material and family.p(score) < self.false_alarm
 
     def passing(self, scores: Sequence[Score[H]], family: Family) -> list[Score[H]]:
-        """Return the scores of accepted candidates, in their order."""
         return [score for score in scores if self.accepts(score, family)]
 
     def keeps(self, finding: Detection) -> bool:
-        """Whether a cause of the model would be accepted again."""
         return any(score.cause == finding.cause and self.accepts(score, finding.family) for score in finding.scores)
 
     def better(self, finding: Detection[H]) -> Score[H] | None:
@@ -144,10 +142,9 @@ class Stepwise:
         return best
 
     def settled(self, tried: list[T]) -> T:
-        """Add, drop and replace causes while that improves the model; return the best model whose causes are all accepted.
+        """Add, drop and replace causes while that improves the last model of tried; return the best whose causes are all accepted.
 
-        A step that proves worse than expected is undone, and not tried again: from a model at most one of each kind fails. The
-        models fitted are appended to tried.
+        A step that proves worse than expected is undone, and not tried again: from a model at most one of each kind fails.
         """
         begin, now = len(tried) - 1, tried[-1]
         steps = _untried(self._steps(now), tried)
@@ -179,14 +176,10 @@ class Stepwise:
         return None
 
     def stands(self, trial: Trial[H]) -> bool:
-        """Whether each of a trial's causes would be accepted again."""
         return all(map(self.acceptance.keeps, trial.own_findings))
 
     def exchanges(self, trial: Trial[H]) -> Iterator[Proposal[H]]:
-        """Yield the causes with two replaced by one or two, or one by two, where that explains the data better.
-
-        Of pairs one cause is among the best in the place of what goes, and the other the best beside it.
-        """
+        """Yield the causes with two replaced by one or two, or one by two, if better: one of the best and one beside it."""
         small = [cause for cause in trial.causes if _is_small(cause)][-ENTANGLED:]
         for gone in (*combinations(small, 2), *combinations(small, 1)):
             stay, linear = [cause for cause in trial.causes if cause not in gone], trial.linearisation
@@ -263,12 +256,11 @@ def _untried(steps: Iterable[Proposal[H]], tried: Sequence[Trial[H]]) -> Iterato
 
 
 def _is_small(cause: Hypothesis) -> bool:
-    """Whether a cause has few parameters."""
     return cause.n_parameters <= FEW_COLUMNS
 
 
 def _small(trial: Trial[H], causes: Sequence[H]) -> list[Score[H]]:
-    """Return the scores of small causes beside the given ones, best first."""
+    """Return the scores of causes of few parameters beside the given ones, best first."""
     places = {each.cause.place for each in trial.linearisation.regressors.candidates if _is_small(each.cause)}
     scores = trial.linearisation.tested_with(causes, places).scores if places else []
     return [score for score in scores if _is_small(score.cause)]
@@ -279,10 +271,7 @@ def _replaced(trial: Trial[H], causes: list[H]) -> Proposal[H]:
 
 
 def _within_reach(trial: Trial[H], others: Iterable[list[H]]) -> Iterator[Proposal[H]]:
-    """Yield the sets of causes that may be better, or not clearly worse, within the error of the linearised model.
-
-    Its error is taken as a share of what is removed.
-    """
+    """Yield the sets of causes that may be better within the error of the linearised model, a share of what is removed."""
     for causes in others:
         doubt = DOUBT * trial.linearisation.rise([cause for cause in trial.causes if cause not in causes])
         if trial.linearisation.expected(causes) < WITHIN * max(1, len(trial.causes) - len(causes)) + doubt:
@@ -298,7 +287,6 @@ def _difference(before: Sequence[H], after: Sequence[H]) -> str:
 
 
 def words(cause: H) -> str:
-    """Return the name of a cause for a log line."""
     return " ".join(filter(None, (cause.id, cause.part, f"({cause.detail})" if cause.detail else "")))
 
 

@@ -39,17 +39,14 @@ class Detection(Generic[H]):
 
     @property
     def own(self) -> Score[H]:
-        """The cause's own score."""
         return next(score for score in self.scores if score.cause == self.cause)
 
     @cached_property
     def places(self) -> dict[Place, tuple[float, Score[H]]]:
-        """Cost and best score of each place (see `by_place`)."""
         return by_place(self.scores)
 
     @property
     def cost(self) -> float:
-        """Cost of the cause's place."""
         return self.places[self.cause.place][0]
 
     @property
@@ -84,10 +81,7 @@ class Linearisation(Generic[H]):
 
     @staticmethod
     def at(fitted: Fitted, effects: Sequence[Effect], still: Cause | None = None) -> Linearisation[Cause]:
-        """Return a fitted model linearised with effects at zero; its causes are among the candidates, for tests without them.
-
-        still is one of its causes that is set to zero.
-        """
+        """Return a fitted model, one of its causes at zero if still, linearised with effects and its causes as candidates."""
         added = (cause for cause in fitted.causes if cause.effect not in effects)
         at = fitted.still(still) if still else fitted
         regressors = fitted.regressors((*effects, *added), at.fit)
@@ -107,7 +101,6 @@ class Linearisation(Generic[H]):
 
     @cached_property
     def whole(self) -> LinearModel[H]:
-        """The model with all causes."""
         return LinearModel(self.regressors)
 
     @cached_property
@@ -136,10 +129,7 @@ class Linearisation(Generic[H]):
         return -sum(self._cost(gone[: k + 1], cause) for k, cause in enumerate(gone))
 
     def expected(self, causes: Sequence[H]) -> float:
-        """Return the increase of the cost with other causes instead; linear, without a refit.
-
-        New causes are scored singly, so there should be one at most. A form that is no candidate counts as the best of its place.
-        """
+        """Return the linear increase of the cost with other causes, one of them new at most, scored as the best of its place."""
         gone = [cause for cause in self.causes if cause not in causes]
         return self.rise(gone) + sum(self._cost(gone, cause) for cause in causes if cause not in self.causes)
 
@@ -148,7 +138,6 @@ class Linearisation(Generic[H]):
         return Detection(cause, tuple(self.apart([cause], where).scores), family)
 
     def forms(self, causes: Sequence[H], place: Place) -> list[Score[H]]:
-        """Return the scores of all forms of a place beside the given causes, best first."""
         return self.tested_with(causes, [place]).scores
 
     def _cost(self, gone: Sequence[H], cause: H) -> float:
@@ -203,5 +192,4 @@ class Trial(ABC, Generic[H]):
 
 
 def is_new(causes: Sequence[Any], tried: Sequence[Trial]) -> bool:
-    """Whether no trial had these causes."""
     return all(set(causes) != set(trial.causes) for trial in tried)

@@ -142,7 +142,6 @@ def doubtful(cause: Cause, model: Model, left: Sequence[UnexplainedStructure]) -
 
 
 def _alone(*parts: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the inputs on which a part depends alone."""
     return tuple(dict.fromkeys(part[0] for part in parts if len(part) == 1))
 
 
@@ -222,10 +221,7 @@ def _of_poses(fitted: Fitted) -> list[UnexplainedStructure]:
 
 
 def predicted(fitted: Fitted, functions: Sequence[SmoothFunction], data: Measurements) -> np.ndarray:
-    """Return the change of predicted positions (n_rows, 3) [m] by smooth functions: see `errors`.
-
-    It is the posterior mean of the error model that has these alone, as one part, with the parameters beside it.
-    """
+    """Return the change of positions (n_rows, 3) [m] by smooth functions, their posterior mean beside the parameters."""
     sizes = fitted.smooth_in([((), [*functions])])
     errors = beside_smooth_errors(sizes, sizes.components.most_likely(np.ones(1)), NO_DISCREPANCY)[1]
     slopes = errors.slopes_of(partial(error_jacobian, measured=data), fitted.model, fitted.fit.estimate)
@@ -242,16 +238,13 @@ class Since(SmoothFunction):
 
     @property
     def detail(self) -> str:
-        """The row of the step, in words."""
         return f"since row {int(np.floor(self.moment)) + 1} in measuring order"
 
     @property
     def units(self) -> Sequence[str]:
-        """Those of the joints' offsets, and of the marker's."""
         return [joint.unit for joint in self.robot.joints] + 3 * ["m"]
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
-        """Return the deflection of the joints, and a shift of the flange with its load."""
         after, n = row.order > self.moment, self.robot.n_joints
         link = ca.SX(still.link)
         link[:3, -1] = p[n:] * after
@@ -269,18 +262,15 @@ class Oscillation(SmoothFunction):
 
     @property
     def detail(self) -> str:
-        """The period in words."""
         period = 2 * np.pi / self.rate
         return f"period {period:.3g} s" if period < LONG else f"period {period / 3600:.2g} h"
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
-        """Return the shifted point."""
         angle = self.rate * row.time
         return point + p[:3] * ca.cos(angle) + p[3:] * ca.sin(angle) if row.time.nnz() else point
 
 
 def decoys(fitted: Fitted) -> list[SmoothFunction]:
-    """Return the decoys for a fitted model's rows."""
     data, robot = fitted.data, fitted.data.robot
     turning = [i for i, joint in enumerate(robot.joints) if joint.kind == "revolute"]
     chosen: list[SmoothFunction] = [JointField(robot, (i,)) for i in turning]
@@ -309,10 +299,7 @@ def _rates(time: np.ndarray) -> np.ndarray:
 
 
 def _resolved(time: np.ndarray) -> float:
-    """Return the most cycles between the times 0 and 1 that these times (n,) tell from fewer: half of those at which they recur.
-
-    At even times a wave looks like its slower alias: a drift over hours like a wave of the time between two poses.
-    """
+    """Return the most cycles from 0 to 1 that these times (n,) tell from fewer, as at even times a drift looks like a fast wave."""
     parts = RESOLUTION * len(time)
     counts = np.bincount(np.rint(parts * time).astype(int), minlength=2 * parts)
     window = np.abs(np.fft.rfft(counts)) / len(time)  # at every half cycle
@@ -375,10 +362,7 @@ class Standstills:
 
     @cached_property
     def gains(self) -> np.ndarray:
-        """What each of these joints' errors gains (n_joints,): twice the log likelihood ratio against none of its own.
-
-        Either model may have errors along all axes instead of those accepted.
-        """
+        """Twice the log likelihood ratio of these joints' errors (n_joints,), beside accepted errors along axes or all."""
         if not len(self.joints):
             return np.zeros(0)
         components, parts = self.components, np.arange(len(self.variance))

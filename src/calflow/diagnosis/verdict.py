@@ -60,7 +60,6 @@ class Rival(Generic[H]):
 
     @property
     def cause(self) -> H | None:
-        """The best variant, if it could be tested."""
         return self.score.cause if self.score else None
 
 
@@ -130,8 +129,7 @@ def verdict(finding: Detection[H], untestable: Mapping[str, str] = MappingProxyT
 def no_surer_than_its_size(finding: Detection[Cause], fitted: Fitted) -> Detection[Cause]:
     """Return a finding in whose place an unnamed error costs no more than its amplitudes' distance from zero, squared (Wald).
 
-    Their deviations include all smooth errors of the model, of which the search knows a part: what may be zero beside these is
-    not certain.
+    Their deviations include all smooth errors, of which the search knows a part: what may be zero beside these is not certain.
     """
     columns = fitted.model.columns(finding.cause)
     if fitted.fit.at_bound[columns].all():
@@ -141,8 +139,7 @@ def no_surer_than_its_size(finding: Detection[Cause], fitted: Fitted) -> Detecti
 
 
 def _in_its_place(finding: Detection[H], untestable: Collection[str]) -> list[tuple[H | Untested | None, float]]:
-    """Return what may be in a finding's place, with its log odds against that: each candidate but the form found, what could not be
-    tested, alike by nature or for want of data (ids) and as likely as the finding, and none (None, the last).
+    """Return what may be in a finding's place with its log odds: other candidates, what was not tested (ids), and None, the last.
 
     None is nothing, a priori as probable as all places together, or an unnamed error, which never counts more than the finding.
     """
@@ -157,7 +154,6 @@ def _in_its_place(finding: Detection[H], untestable: Collection[str]) -> list[tu
 
 
 def named(cause: Hypothesis | Rival) -> NamedCause:
-    """Return the id of a cause, or of a rival, with its joint."""
     return NamedCause(cause.id, cause.joint)
 
 
@@ -237,7 +233,6 @@ class Untested:
 
     @property
     def place(self) -> Place:
-        """Effect id and part, as of a cause."""
         return self.id, self.part
 
 
@@ -407,13 +402,9 @@ def same_quantities(cause: Cause, other: Cause) -> bool:
 
 
 def deployed_model(extended: Fitted, verdicts: Sequence[Verdict]) -> Fitted | None:
-    """Return the model without those uncertain causes of the robot that do not lower the leave-one-pose-out error.
+    """Return the model without uncertain causes of the robot, the last first, that do not lower the leave-one-pose-out error.
 
     None where no cause is left: the identified model is then used as it is.
-
-    Args:
-        extended: the model with all causes.
-        verdicts: the verdicts on its causes, the one that explains most first; they are tried from the last.
     """
     used: Fitted | None = extended
     deployed, misses = verdicts, extended.left_out.of_new_measurements

@@ -61,10 +61,7 @@ def completed(model: Model, estimate: np.ndarray, data: Measurements) -> tuple[M
 
 
 def _settled(model: Model, point: np.ndarray, new: np.ndarray, data: Measurements) -> np.ndarray:
-    """Return the parameters with the new ones (a mask) fitted to the rows by Gauss-Newton, all others held.
-
-    Those of each series are fitted first, then those of effects, which all series share.
-    """
+    """Return the parameters with the new ones (a mask) fitted by Gauss-Newton, each series' first, then those that all share."""
     point, every = point.copy(), _observed_series(model, data)
     of_series = [np.intersect1d(model.columns(observation), np.flatnonzero(new)) for observation in model.observations]
     of_effects = np.setdiff1d(np.flatnonzero(new), np.concatenate(of_series))
@@ -171,7 +168,6 @@ class _ObservedSeries:
     reported: np.ndarray
 
     def values(self, of: Values, estimate: np.ndarray) -> np.ndarray:
-        """Return what a method of the model yields for these rows."""
         return of(self.observation, estimate, self.conditions, self.reported)
 
 
@@ -195,10 +191,7 @@ def error_jacobian(
 
 
 def _in_leading_units(values: Values, model: Model, estimate: np.ndarray, measured: Measurements) -> np.ndarray:
-    """Return values of all rows in the leading unit of their series, (n_rows, 3 or more, …); nan where a row has fewer.
-
-    A device's axes are rotated into its frame.
-    """
+    """Return values of all rows in their series' leading unit, along the measuring frame, (n_rows, 3 or more, …), else nan."""
     every = _observed_series(model, measured)
     leading = [
         [k for k, unit in enumerate(seen.observation.units) if unit == seen.observation.units[0]] for seen in every
@@ -221,22 +214,18 @@ def _masked(values: np.ndarray, measured: Measurements, unit: MeasurementUnit | 
 
 
 def distances(error: np.ndarray) -> np.ndarray:
-    """Return the Euclidean length of each row's error (n_rows, n_axes), shape (n_rows,); nan where it has none."""
+    """Return the length of each row's error (n_rows, n_axes), shape (n_rows,); nan where it has none."""
     return np.where(np.isnan(error).all(axis=1), np.nan, np.sqrt(np.nansum(error**2, axis=1)))
 
 
 def mean_rms_max(size: np.ndarray) -> tuple[float, float, float]:
-    """Return the mean, the root mean square and the largest of sizes (n,)."""
     return float(size.mean()), float(np.sqrt((size**2).mean())), float(size.max())
 
 
 def accuracy(
     name: str, error: np.ndarray, measured: Measurements, step: int = 0, added: Effect | None = None
 ) -> list[Accuracy]:
-    """Return one row per unit and split, from a model's `leading_errors`, nan in rows that are not judged.
-
-    added is the effect added in this step.
-    """
+    """Return one row per unit and split, from a model's `leading_errors`, nan where not judged; added: this step's effect."""
     what = {"effect": added.id, "detail": added.detail} if added else {}
     where = {"joint": added.joint or None, "part": added.part} if isinstance(added, Cause) else {}
     leading, judged = leading_units(measured), residuals(error, measured).dropna(subset="error")
@@ -278,7 +267,6 @@ def gain(
 
 
 def residuals(error: np.ndarray, data: Measurements) -> pd.DataFrame:
-    """Return the table of `Residual`s for `leading_errors` (n_rows, n_axes)."""
     units, series = leading_units(data), data.series_number
     lengths = np.array([unit == METRE for unit in units])[series]
     size = np.array([unit.scale for unit in units])[series] * distances(error)

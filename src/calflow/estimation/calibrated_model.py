@@ -149,10 +149,7 @@ class CalibratedModel:
     joint_range: np.ndarray | None = None
 
     def beyond_range(self, readings: np.ndarray) -> np.ndarray:
-        """Return the mask of readings (n_rows, n_joints) beyond the fitted range by more than a tenth of it.
-
-        Held-out poses do not widen it: what errors do there is tested by few poses, and smooth errors know nothing of it.
-        """
+        """Return the mask of readings (n_rows, n_joints) beyond the fitted range, without held-out poses, by over a tenth of it."""
         if self.joint_range is None:
             return np.zeros(readings.shape, dtype=bool)
         return beyond(readings, self.joint_range)
@@ -235,10 +232,7 @@ class CalibratedModel:
         return lean, tuple(held)
 
     def position_variance(self, conditions: np.ndarray, places: np.ndarray | None = None) -> np.ndarray:
-        """Return the predictive variance of each row's position per axis, shape (n_rows, 3) [m²].
-
-        It is the sum of the variances by the parameters, by the choice of the model and by the model's smooth errors given the data
-        at that place and time, less what a residual field explains. Noise estimated from the fit itself is included.
+        """Return the predictive variance of each row's position by axis, (n_rows, 3) [m²]; of noise that estimated from the fit.
 
         It is of the markers, or of places (n_rows, 3) [m] in the last link's frame: a marker's error says nothing of what the data
         cannot tell from its place on the link, as the last link's length.
@@ -248,10 +242,9 @@ class CalibratedModel:
         return self._beside_field(of_choice + self._variances(every, METRE)[0], conditions)
 
     def shared_errors(self, conditions: np.ndarray, places: np.ndarray | None = None) -> np.ndarray:
-        """Return the errors that rows share, as factors (n_rows, 3, n) [m] of n independent standard normals.
+        """Return the errors that rows share, by parameters, smooth errors and choice of the model, as factors (n_rows, 3, n) [m].
 
-        They hold the errors of the parameters, the smooth errors and the choice of the model, as far as a residual field leaves
-        them; the squares add up to `position_variance` less the part that is independent from row to row.
+        Their squares add up to `position_variance` less the part that is independent from row to row.
         """
         slopes = self.errors.slopes(*self._fitted, conditions, places)
         choice = choice_errors(self.alternatives, *self._fitted, points_at(conditions, places))
@@ -260,10 +253,7 @@ class CalibratedModel:
         return shared * np.sqrt(self._beside_field(whole, conditions) / whole)[:, :, None] if self.field else shared
 
     def parameter_variance(self, conditions: np.ndarray) -> np.ndarray:
-        """Return the variance of each row's position per axis (n_rows, 3) [m²] by the parameters' covariance.
-
-        It includes the parameters' offset beside smooth errors (see `ErrorModel`).
-        """
+        """Return the variance of each row's position per axis (n_rows, 3) [m²] by the parameters, with their offset."""
         slopes = (self.model.point_jacobian(self.estimate, *part) for part in _parts(conditions, rows=PART_ROWS))
         return np.concatenate([np.maximum(of_parameters(slope, self.covariance), 0.0) for slope in slopes])
 
@@ -276,10 +266,7 @@ class CalibratedModel:
         return self._variances((self.errors.slopes(*self._fitted, *part) for part in _parts(conditions)), METRE)[1]
 
     def _variances(self, every: Iterable[np.ndarray], unit: MeasurementUnit) -> tuple[np.ndarray, np.ndarray]:
-        """Return variances by parameters and smooth errors, and the part beyond the parameters', (n_rows, n_axes) [unit²].
-
-        every: derivatives of some rows at a time, as for `ErrorModel.shared`.
-        """
+        """Return variances by parameters and smooth errors, given some rows' slopes at a time, and those beyond the parameters'."""
         covariance, rest, parts = self.covariance, self.errors.rest[unit] ** 2, list[tuple[np.ndarray, np.ndarray]]()
         for slopes in every:
             whole = (self.errors.shared(slopes, covariance) ** 2).sum(axis=2)
@@ -289,7 +276,7 @@ class CalibratedModel:
         return np.concatenate(wholes), np.concatenate(left)
 
     def expected_point(self, conditions: np.ndarray) -> np.ndarray:
-        """Return the predicted positions of the markers (n_rows, 3) [m], with the residual field's correction if there is one."""
+        """Return the predicted positions of the markers (n_rows, 3) [m], with the residual field's correction."""
         return self.model.point(self.estimate, conditions) + self.field_correction(conditions)
 
     def field_correction(self, conditions: np.ndarray) -> np.ndarray:
@@ -305,10 +292,9 @@ class CalibratedModel:
         return np.asarray(conditions[: self.model.robot.n_joints].T)
 
     def rotation_variances(self, conditions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the predictive variance of each row's orientation about the tool's axes, shape (n_rows, 3) [rad²].
+        """Return the predictive variance of rows' orientations about the tool's axes (n_rows, 3) [rad²], and as `left_variance`.
 
-        It is by parameters and smooth errors, as that of positions; the second is its part beyond the parameters' (see
-        `left_variance`). Rotations that the data do not determine have the variance of their priors (see `untold`).
+        Rotations that the data do not determine have the variance of their priors (see `untold`).
         """
         turned = (partial(Model.rotation_jacobian, conditions=part) for part, _ in _parts(conditions))
         return self._variances((self.errors.slopes_of(each, *self._fitted) for each in turned), RADIAN)
@@ -326,9 +312,9 @@ class CalibratedModel:
         return np.asarray(np.divide(parts[:, left > UNMEASURED].sum(axis=1), total, out=np.zeros(3), where=total > 0))
 
     def promised_variance(self, data: Measurements, unit: MeasurementUnit) -> np.ndarray:
-        """Return the predictive variance of each row's errors along each axis, including the device's noise.
+        """Return the predictive variance of each row's errors by axis, (n_rows, n_axes) [unit²], the device's noise included.
 
-        Shape (n_rows, n_axes) [unit²]; 0 where a row has no value in the unit. data must have the conditions that the model needs.
+        It is 0 where a row has no value in the unit. data must have the conditions that the model needs.
         """
         found, device = self.errors_in_unit(data, unit), self.device_sigma(data)[:, None] ** 2
         variance = self._beside_field(found.variance, data.conditions) if unit == METRE else found.variance

@@ -140,13 +140,7 @@ def then_and_later(calibrated: CalibratedModel, data: Measurements) -> tuple[flo
 
 
 def tested_rows(calibrated: CalibratedModel, data: Measurements, error: np.ndarray) -> pd.DataFrame:
-    """Return pose, error and 95 % limit of the held-out rows, of very many a `representative` subset.
-
-    Args:
-        calibrated: the calibrated model, without a residual field.
-        data: rows with the conditions that the model needs.
-        error: size of each row's residual, (n_rows,) in the unit by which the model is judged; nan where there is none.
-    """
+    """Return pose, error and limit of held-out rows, of very many a `representative` subset; arguments as of `missed_poses`."""
     rows = data.held_out & np.isfinite(error)
     rows[rows] = representative(data.only(rows))
     held = data.only(rows)

@@ -118,11 +118,7 @@ class LikelihoodEstimate:
     def of(
         estimate: np.ndarray, covariance: np.ndarray, prior_mean: np.ndarray, prior_sd: np.ndarray
     ) -> LikelihoodEstimate:
-        """Divide a normal posterior by its prior, which is independent by parameter.
-
-        The information matrix is the posterior's less the prior's; likewise the information vector (information times mean), as
-        for the quotient of two normal densities.
-        """
+        """Divide a normal posterior by its prior, independent by parameter: information, and that times the mean, subtract."""
         scale = np.outer(prior_sd, prior_sd)
         variance, vectors = scipy.linalg.eigh(covariance / scale)
         posterior = 1 / np.maximum(variance, np.finfo(float).tiny)

@@ -58,12 +58,10 @@ class ErrorModel:
 
     @staticmethod
     def white(rest: PerUnit, n_parameters: int) -> ErrorModel:
-        """Return an error model without smooth functions."""
         none = np.zeros(0)
         return ErrorModel((), none, none, np.zeros((0, n_parameters)), np.zeros((0, 0)), np.zeros(n_parameters), rest)
 
     def only(self, keep: Callable[[SmoothFunction], bool]) -> ErrorModel:
-        """Return a copy with some functions alone."""
         kept = self._of(keep)
         return replace(
             self,
@@ -96,7 +94,6 @@ class ErrorModel:
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """The inputs of the functions."""
         return tuple(dict.fromkeys(name for function in self.functions for name in function.inputs))
 
     def _of(self, keep: Callable[[SmoothFunction], bool]) -> np.ndarray:
@@ -120,10 +117,7 @@ class ErrorModel:
     def slopes(
         self, model: Model, estimate: np.ndarray, conditions: np.ndarray, places: np.ndarray | None = None
     ) -> np.ndarray:
-        """Return the derivatives of rows' positions by parameters and by amplitudes over sd, (n_rows, 3, n) [m].
-
-        places are as for `Model.point`; the amplitudes move them as the markers.
-        """
+        """Return the derivatives of positions (see `Model.point`) by parameters and amplitudes over sd, (n_rows, 3, n) [m]."""
         by_parameters = model.point_jacobian(estimate, conditions, places)
         return np.concatenate([by_parameters, self.moved(model, estimate, conditions)], axis=2)
 
@@ -135,10 +129,7 @@ class ErrorModel:
         return slopes * np.append(np.ones(slopes.shape[-1] - len(self.sd)), self.sd)
 
     def moved(self, model: Model, estimate: np.ndarray, conditions: np.ndarray) -> np.ndarray:
-        """Return the change of rows' reported positions by each amplitude at one sd, (n_rows, 3, n_functions) [m].
-
-        Errors of a lens or target are none of the position.
-        """
+        """Return the change of rows' reported positions by each amplitude at one sd, (n_rows, 3, n_functions) [m]."""
         moved = np.zeros((conditions.shape[1], 3, len(self.sd)))
         in_space = tuple(function for function in self.functions if not function.of_images)
         if in_space:
@@ -203,7 +194,6 @@ class SmoothAmplitude:
 
 
 def error_table(errors: ErrorModel, model: Model) -> pd.DataFrame:
-    """Return the table of `SmoothAmplitude`s."""
     told = [f"told {n + 1}" for n in range(errors.told.shape[1])]
     slopes = [f"slope {parameter.name}" for parameter in model.parameters]
     first = [np.concatenate([[size, 0.0], errors.offset, np.zeros(len(told))]) for _, size in errors.rest.sizes]
@@ -254,15 +244,11 @@ def _beside(model: Model, functions: tuple[SmoothFunction, ...]) -> Model:
 
 
 def beside_smooth_errors(sizes: SmoothVariances, variance: np.ndarray, elsewhere: PerUnit) -> tuple[Fit, ErrorModel]:
-    """Return a fit with the information that remains beside the smooth errors, and the error model.
+    """Return a fit with the information that remains beside smooth errors of variances (n_parts,), and the error model.
 
     The estimate stays that of ordinary least squares: without the functions' means, which are not the robot's alone, it predicts
     poses like those fitted better than that of generalised least squares, and the distance of the two counts as an error.
-
-    Args:
-        sizes: what smooth errors there may be beside the model.
-        variance: of each of their parts, (n_parts,).
-        elsewhere: excess of leave-one-pose-out errors over noise and parameters, per axis; used where nothing smooth shows.
+    elsewhere is the excess of leave-one-pose-out errors over noise and parameters, per axis, used where nothing smooth shows.
     """
     result, problem = sizes.result, sizes.result.problem
     model, estimate = result.model, result.estimate
@@ -327,10 +313,7 @@ class SmoothVariances:
 
     @staticmethod
     def of(result: Fit, data: Measurements, known: bool, parts: Sequence[Part] = ()) -> SmoothVariances:
-        """Return the variances beside a fitted model, linearised at its estimate for a representative subset of the rows.
-
-        The parts are by default all `smooth_functions`.
-        """
+        """Return the variances of parts, by default all `smooth_functions`, beside a fit linearised for a subset of its rows."""
         problem = result.problem.only(representative(data)).reweighted(result.estimate, result.loss)
         parts = parts or smooth_functions(problem, result.estimate, data)
         kinds = [(inputs, [*effects, *means(effects)]) for inputs, effects in parts]

@@ -57,7 +57,6 @@ class Later(Wandering):
     sessions: tuple[tuple[float, float], ...] = ()
 
     def gone(self, row: Row) -> ca.SX:
-        """Return the standard deviation at a row."""
         if not (at := row.time).nnz():
             return ca.SX(self.any_time) if self.any_time else ca.SX(1, 1)
         if self.sessions:
@@ -88,22 +87,18 @@ class Elsewhere(ActingEffect, SmoothFunction):
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """Those of the function."""
         return self.same.inputs
 
     @property
     def spectrum(self) -> np.ndarray:
-        """That of the function."""
         return self.same.spectrum
 
     @property
     def units(self) -> Sequence[str]:
-        """Those of the function."""
         return [parameter.unit for parameter in self.same.parameters()]
 
     @property
     def gives_way(self) -> bool:
-        """Whether the function does."""
         return self.same.gives_way
 
     def share(self, q: ca.SX) -> ca.SX:
@@ -116,7 +111,6 @@ class Elsewhere(ActingEffect, SmoothFunction):
         return 1 - same
 
     def acting(self, p: ca.SX, row: Row) -> tuple[Effect, ca.SX]:
-        """Return the function, times the root of that probability."""
         return self.same, p * ca.sqrt(self.share(row.q))
 
 
@@ -138,14 +132,12 @@ class Cooling(SmoothFunction):
 
     @cached_property
     def warming(self) -> Warming:
-        """The warm-up of a robot that works."""
         kind = effect_class(self.effect)
         assert kind is not None
         assert issubclass(kind, Warming)
         return kind.of_figures(self.robot, self.once)
 
     def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
-        """Return the dimensions with the standard deviation of the loss."""
         if not row.time.nnz():
             return dims
         cause, constant = Cause(self.robot, self.warming, self.part), self.warming.constant
@@ -170,7 +162,6 @@ class Undated(ActingEffect, SmoothFunction):
 
     @cached_property
     def _step(self) -> StepChange:
-        """The step, for later rows."""
         kind = effect_class(self.effect)
         assert kind is not None
         assert issubclass(kind, StepChange)
@@ -182,7 +173,6 @@ class Undated(ActingEffect, SmoothFunction):
         return Cause(self.robot, replace(self._step, between=NEVER_YET), self.part)
 
     def acting(self, p: ca.SX, row: Row) -> tuple[Effect, ca.SX]:
-        """Return the step that is to come, with its values times the standard deviation of whether it is."""
         to_come = self._step.to_come(row)
         return self._before, ca.DM(self.values) * p * ca.sqrt(to_come * (1 - to_come))
 
@@ -201,7 +191,6 @@ class Beyond(SmoothFunction):
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """The joint."""
         return (f"q{self.joint + 1}",)
 
     def waves(self, q: ca.SX) -> ca.SX:
@@ -219,7 +208,6 @@ class BeyondTravel(JointError, Beyond):
     size_beyond: float = SIZE
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
-        """Return its waves."""
         waves = ca.vertsplit(self.waves(state.q[joint])) if joint == self.joint else []
         size = self.size_beyond / BEYOND_WAVES**0.5
         return [Term(f"wave{k + 1}", self.unit(joint), size, 1.0, wave) for k, wave in enumerate(waves)]
@@ -234,17 +222,14 @@ class BeyondRail(Beyond):
 
     @property
     def spectrum(self) -> np.ndarray:
-        """The sizes of shifts, then of turns, over an amplitude's usual one."""
         sizes = [self.shift, *([self.turn] if self.turn else [])]
         return np.repeat(sizes, 6 * BEYOND_WAVES) / (SIZE * BEYOND_WAVES**0.5)
 
     @property
     def units(self) -> Sequence[str]:
-        """Units of shifts, then of turns."""
         return ["m"] * (6 * BEYOND_WAVES) + (["rad"] * (6 * BEYOND_WAVES) if self.turn else [])
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
-        """Return the deflection with the carriage displaced."""
         waves = self.waves(state.q[self.joint])
         bearing = ca.SX(still.bearing)
         off = ca.reshape(p, waves.numel(), p.numel() // waves.numel()).T @ waves
@@ -320,12 +305,7 @@ def beyond_measured(errors: ErrorModel, sizes: SmoothVariances, variance: np.nda
     A cause of the device's frame is a drift, too: its walk has the variance estimated without that cause, and starts from the
     cause's last value; a step may be an event instead (see `_wandered`). During the measurement the cause describes it, and it is
     no error of the robot. A device that is placed anew for each session wanders in a further one as in those measured. A warm-up
-    goes on, but the robot may be switched off.
-
-    Args:
-        errors: the error model at the measured rows.
-        sizes: what smooth errors there may be beside the model.
-        variance: of each of their parts, (n_parts,).
+    goes on, but the robot may be switched off. variance (n_parts,) is of each part of sizes.
     """
     result, data, left = sizes.result, sizes.data, _walks(sizes, variance)
     angles = data.joint_angles
@@ -457,10 +437,7 @@ def extrapolation(data: Measurements) -> tuple[int, ...]:
 
 
 def beyond(readings: np.ndarray, measured: np.ndarray, travel: np.ndarray | None = None) -> np.ndarray:
-    """Return the mask of joint readings (n_rows, n_joints) outside the measured range (n_measured, n_joints).
-
-    They are so by more than a tenth of a travel (n_joints,), by default that range.
-    """
+    """Return the mask of readings (n_rows, n_joints) outside a measured range by over a tenth of travel, by default of that."""
     low, high = measured.min(axis=0), measured.max(axis=0)
     margin = np.maximum(BEYOND * (high - low if travel is None else travel), LEAST_BEYOND)
     return np.asarray((readings < low - margin) | (readings > high + margin))

@@ -55,7 +55,6 @@ class FieldGain:
 
     @property
     def blocks(self) -> int:
-        """Number of blocks that were left out in turn."""
         return len(np.unique(self.block))
 
     @property
@@ -69,7 +68,6 @@ class FieldGain:
 
     @property
     def gains(self) -> bool:
-        """Whether the correction is to be applied."""
         return self.p < FALSE_GAIN
 
     @property
@@ -116,10 +114,9 @@ def gainful_field(
 
 
 def gain_of(readings: np.ndarray, left: np.ndarray, noise: float, rng: np.random.Generator) -> FieldGain:
-    """Return the gain at blocks left out in turn, with hyperparameters and field learnt from the other blocks alone.
+    """Return the gain at blocks left out in turn, with hyperparameters and field learnt (see `learnt`) from the other blocks alone.
 
-    Blocks are contiguous in joint space, so that a left-out pose has no near duplicate among the others. The arguments are
-    those of `learnt`.
+    Blocks are contiguous in joint space, so that a left-out pose has no near duplicate among the others.
     """
     n = len(readings)
     if n < MIN_POSES:
@@ -146,7 +143,6 @@ def blocks(readings: np.ndarray) -> np.ndarray:
 def field_results(
     calibrated: CalibratedModel, field: ResidualField | None, gain: FieldGain, data: Measurements
 ) -> Results:
-    """Return the field learnt from a model without one, and its gain, as the run folder keeps them."""
     tables = {
         POSES: pose_table(field, calibrated.model.robot),
         "residual_field/accuracy.csv": _accuracy(calibrated, field, gain, data),
@@ -155,7 +151,6 @@ def field_results(
 
 
 def field_summary(field: ResidualField | None, gain: FieldGain) -> FieldSummary:
-    """Return the hyperparameters of a field, and its gain."""
     return FieldSummary(
         kind="not physical", applied=field is not None, statement=gain.statement, poses=gain.poses, blocks=gain.blocks,
         p=gain.p,

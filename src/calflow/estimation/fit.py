@@ -86,7 +86,6 @@ class Fit:
 
     @property
     def model(self) -> Model:
-        """The fitted model."""
         return self.problem.model
 
     @cached_property
@@ -128,7 +127,7 @@ def fit(
     Args:
         problem: the model and its data.
         starts: parameter values to start from, shape (n_starts, n_parameters); the priors' means by default.
-        loss: function of a row's squared whitened residual; soft_l1 and cauchy down-weight outliers.
+        loss: soft_l1 and cauchy down-weight outliers.
         rough: share of the objective that a further step may still gain.
     """
     solver, at, _callbacks = _solver(problem, loss, rough)
@@ -213,10 +212,7 @@ class _Callback(ca.Callback):
 def _solver(
     problem: LeastSquares, loss: Loss, rough: float
 ) -> tuple[ca.Function, Callable[[bytes], Fit], list[_Callback]]:
-    """Return IPOPT's solver in coordinates scaled by the priors, the cached evaluation at a point, and its callbacks.
-
-    The callbacks must live as long as the solver does.
-    """
+    """Return IPOPT's solver in units of the priors, the cached evaluation at a point, and its callbacks, which must live on."""
     n, sd = len(problem.model.parameters), problem.model.prior_sd
     bounds, scale, size = problem.model.bounds.T / sd, problem.n_rows, problem.size
 
@@ -348,10 +344,7 @@ def fit_sharing(
 def refitted_sharing(
     result: Fit, means: Measurements, noise: Noise, correlation: float | None = None
 ) -> tuple[Fit, Noise]:
-    """Return a fit to the means of repeats with the errors that rows of one standstill share, and its noise.
-
-    correlation is that of these errors, estimated by default.
-    """
+    """Return a fit to means of repeats with errors that rows of a standstill share, and its noise; correlation: else estimated."""
     likelihood = IntraclassLikelihood.of(result, means, noise)
     correlation = likelihood.correlation if likelihood and correlation is None else correlation
     if not (likelihood and correlation):
@@ -361,14 +354,9 @@ def refitted_sharing(
 
 
 def fit_to_all(result: Fit, part: Noise, settled: Noise, means: Measurements, noise: Noise) -> tuple[Fit, Noise]:
-    """Return a fit to all rows, started from a fit to a `representative` subset, and the noise of all rows.
+    """Return a fit to all rows, means of repeats, started from a fit to a `representative` subset, and the noise of all rows.
 
-    Args:
-        result: the fit to the subset.
-        part: the subset's noise before that fit.
-        settled: the subset's noise after it.
-        means: all rows, as means of repeats.
-        noise: the noise of all rows before any fit.
+    part and settled are the subset's noise before and after that fit, noise is that of all rows before any.
     """
     sigma, grown = noise.sigma.copy(), settled.sigma / part.sigma
     for k in range(len(noise.sources)):
@@ -459,6 +447,5 @@ class IntraclassLikelihood:
         return self._equations(r).restricted_likelihood(self.freedom)[1] + log_determinant
 
     def _equations(self, r: float) -> NormalEquations:
-        """Return those of the errors whitened by r."""
         shared = np.tensordot(r / (1 + (self.markers - 1) * r), self.summed, 1)
         return NormalEquations((self.each - shared) / (1 - r) + self.prior, int(self.number @ self.markers))

@@ -157,10 +157,7 @@ def best_subset(fit: Fit, count: Mapping[str, int]) -> pd.DataFrame:
 
 
 def _scale(fit: Fit, scaled: np.ndarray, largest: float) -> list[Statement]:
-    """Return a statement where the data do not determine the robot's scale.
-
-    Scale is the direction in which all lengths of the robot grow in proportion, the places of device and target being free.
-    """
+    """Return a statement where data do not determine scale: all lengths in proportion, with device and target free to move."""
     model = fit.model
     direction = np.zeros(len(model.parameters))
     for effect in model.effects:

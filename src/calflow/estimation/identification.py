@@ -61,7 +61,6 @@ class FittedEffects:
 
     @property
     def model(self) -> Model:
-        """The fitted model."""
         return self.fit.model
 
     @cached_property

@@ -208,10 +208,7 @@ def doubts_of_repeats(data: Measurements, error: np.ndarray, believed: tuple[boo
 
 
 def doubts_of_residuals(noise: Noise, lack: LackOfFit, names: tuple[str, ...]) -> tuple[NoiseDoubt, ...]:
-    """Test stated noise against the fit's residuals: far smaller residuals contradict it, larger ones are a lack of fit.
-
-    It is tested only where the noise of all series is stated, as otherwise the contradiction has no one series.
-    """
+    """Test stated noise of all series against the residuals: far smaller ones contradict it, larger ones are a lack of fit."""
     if any(source != "file" for source in noise.sources) or not lack.reduced_chi2 > 0:
         return ()
     p, off = 1 - lack.p, float(np.sqrt(lack.reduced_chi2))

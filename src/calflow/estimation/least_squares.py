@@ -60,14 +60,10 @@ class SeriesBlock:
 
     @property
     def n_units(self) -> int:
-        """Number of residuals per row."""
         return len(self.observation.units)
 
     def expression(self, asked: Asked | None = None) -> tuple[list[ca.SX], ca.SX]:
-        """Return symbols (p, conditions, reported, whitening) and the whitened residual (n_units,) of one row.
-
-        asked is as for `Model.error`.
-        """
+        """Return symbols (p, conditions, reported, whitening) and a row's whitened residual (n_units,); see `Model.error`."""
         p, c, _ = self.model.symbols
         y, error = self.model.error(self.observation, asked)
         w = ca.SX.sym("w", len(self.whitening))
@@ -105,10 +101,7 @@ class SeriesBlock:
         return replace(self, **of_rows)
 
     def parts(self, group: np.ndarray | None = None, size: int | None = None) -> Iterator[SeriesBlock]:
-        """Yield successive parts of about `size` rows, so that memory does not grow with the data.
-
-        No part ends between adjacent rows of one group (n_rows,), by default standstills.
-        """
+        """Yield successive parts of about `size` rows, to bound memory, which end between groups, by default standstills."""
         group, size = self.standstill if group is None else group, size or LINEARISED_ROWS
         ends, start = np.append(np.flatnonzero(np.diff(group)) + 1, len(group)), 0
         while start < len(group):
@@ -158,10 +151,7 @@ class LeastSquares:
 
     @staticmethod
     def of(model: Model, data: Measurements, noise: Noise) -> LeastSquares:
-        """Return the problem of a model, a table of measurements and their noise.
-
-        A model without observations takes those of the data, provided that they have no parameters.
-        """
+        """Return the problem of measurements with their noise; a model without observations takes those of the data."""
         model = observing(model, data)
         blocks = []
         for k, observation in enumerate(model.observations):
@@ -186,12 +176,10 @@ class LeastSquares:
 
     @property
     def n_rows(self) -> int:
-        """Number of rows."""
         return sum(len(block.rows) for block in self.blocks)
 
     @property
     def size(self) -> int:
-        """Number of residuals."""
         return sum(block.n_units * len(block.rows) for block in self.blocks)
 
     def _stacked(self, values: Callable[[SeriesBlock], np.ndarray | Sequence[float]]) -> np.ndarray:
@@ -235,7 +223,6 @@ class LeastSquares:
 
     @property
     def units(self) -> tuple[MeasurementUnit, ...]:
-        """The units of its residuals."""
         return tuple(dict.fromkeys(unit for block in self.blocks for unit in block.observation.units))
 
     def scatter(self, unit: MeasurementUnit = METRE) -> float:
@@ -255,7 +242,6 @@ class LeastSquares:
         return float(np.sqrt((self.total[here] ** 2 - self.sigma[here] ** 2).max(initial=0.0)))
 
     def parts(self) -> Iterator[SeriesBlock]:
-        """Yield the rows of all series, part by part (see `SeriesBlock.parts`)."""
         for block in self.blocks:
             yield from block.parts()
 
@@ -295,10 +281,7 @@ class LeastSquares:
         return replace(self, blocks=tuple(blocks))
 
     def r_factor(self, p: np.ndarray) -> np.ndarray:
-        """Return Householder's R factor of the Jacobian at p, whitened and decorrelated, (n_parameters, n_parameters).
-
-        It resolves directions that JᵀJ loses to round-off.
-        """
+        """Return Householder's R (n, n) of the whitened Jacobian at p, with directions that JᵀJ loses to round-off."""
         factor = np.zeros((0, len(p)))
         for part in self.parts():
             jacobian = part.decorrelated(part.linearised(p)[1])
@@ -311,10 +294,7 @@ def _harmonic(sizes: np.ndarray) -> float:
 
 
 def sharing(observation: Observation, noise: Noise, data: Measurements) -> np.ndarray:
-    """Return the number of the standstill (n_rows,) in which each row, of a series, shares errors with others.
-
-    Errors are shared along common axes only, of isotropic positions or of an image.
-    """
+    """Return the number (n_rows,) of the standstill with whose rows each shares errors: isotropic positions, or an image."""
     shared = observation.series.within or (observation.units == (METRE,) * 3 and noise.axes is None)
     return data.standstill if shared else np.arange(len(data))
 

@@ -128,10 +128,7 @@ class LeftOut:
 
     @property
     def at_new_poses(self) -> float:
-        """Root mean square error [m] of positions at new poses like these, without the device's noise; nan without any.
-
-        It is the larger of the expected and the observed leave-one-out error.
-        """
+        """Root mean square error [m] at new poses without noise, the larger of expected and observed; nan without any."""
         if not self.number:
             return float("nan")
         beyond = self.scatter**2 * max(self.sum_of_squares - self.expected, 0.0) / self.number
@@ -160,10 +157,7 @@ class LeftOut:
         return np.asarray(np.sqrt(more)) * self.scatter
 
     def drawn(self, number: int, rng: np.random.Generator) -> np.ndarray:
-        """Draw values of the excess (number,) [m] from its posterior, by the errors' degrees of freedom.
-
-        They are 0 where the errors are no larger than those of a complete model by chance.
-        """
+        """Draw values of the excess (number,) [m] from its posterior, 0 where chance explains it beside a complete model."""
         if (
             not self.number
             or scipy.stats.chi2.sf(self.residual_freedom * self.sum_of_squares / self.expected, self.residual_freedom)
@@ -174,22 +168,13 @@ class LeftOut:
 
 
 def excess(fit: Fit, pose: np.ndarray, lengths: LeftOut) -> PerUnit:
-    """Return the excess of leave-one-pose-out errors over noise and parameters, for each unit, as for `left_out`.
-
-    lengths are the errors in metres.
-    """
+    """Return the excess of leave-one-pose-out errors over noise and parameters for each unit; lengths are those in metres."""
     every = ((unit, lengths if unit == METRE else left_out(fit, pose, unit)) for unit in fit.problem.units)
     return PerUnit(tuple((unit, float(out.excess())) for unit, out in every))
 
 
 def left_out(fit: Fit, pose: np.ndarray, unit: MeasurementUnit = METRE) -> LeftOut:
-    """Return the leave-one-pose-out errors of a fitted model.
-
-    Args:
-        fit: the fitted model.
-        pose: number of each row's pose, (n_rows,): rows of one pose are left out together.
-        unit: that of the residuals that are taken into account.
-    """
+    """Return the leave-one-pose-out errors of a fitted model in a unit; rows of one pose (n_rows,) are left out together."""
     parts = list(_by_pose(fit, pose, unit))
     squares, covered, sizes, variances = np.concatenate([*(figures for figures, _ in parts), np.zeros((4, 0))], axis=1)
     number, problem = int(sizes.sum()), fit.problem

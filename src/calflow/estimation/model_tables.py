@@ -97,7 +97,6 @@ class Solver:
 
     @property
     def words(self) -> str:
-        """The exit in words."""
         return f"{self.name}: {self.status}, {self.iterations} iterations"
 
 
@@ -151,7 +150,6 @@ class FitSummary:
 
     @property
     def noise_known(self) -> bool:
-        """Whether the noise of any series is known independently of the fit."""
         return any(source != "estimated" for source in self.noise_sources)
 
     def discrepancy(self, observed: Sequence[Observation]) -> PerUnit:
@@ -173,7 +171,6 @@ class FitSummary:
 
     @property
     def lacks_fit(self) -> bool:
-        """Whether the lack of fit is significant."""
         return self.lack_of_fit_p is not None and self.lack_of_fit_p < SIGNIFICANT and self.lack_of_fit > 1
 
     @property
@@ -263,7 +260,6 @@ def alternative_models(alternatives: Sequence[Alternative], model: Model) -> tup
 
 
 def effect_table(effects: Sequence[Effect]) -> pd.DataFrame:
-    """Return the table of `ModelEffect`s."""
     return to_frame(map(_model_effect, effects), ModelEffect)
 
 
@@ -274,7 +270,6 @@ def _model_effect(effect: Effect) -> ModelEffect:
 
 
 def observation_table(observed: Sequence[Observation]) -> pd.DataFrame:
-    """Return the table of `ModelObservation`s."""
     rows = (ModelObservation(kind=each.id, observation=json.dumps(asdict(each))) for each in observed)
     return to_frame(rows, ModelObservation)
 
@@ -304,10 +299,7 @@ def _placed(what: str, place: Vector, turn: Vector, kind: str, source: str) -> P
 
 
 def calibrated(robot: Robot, results: Results, given: tuple[str, ...]) -> CalibratedModel:
-    """Return the model that diagnose extended, else identify's, with the residual field if there is one.
-
-    given: the optional conditions of its rows.
-    """
+    """Return the model that diagnose extended, else identify's, with its residual field, for rows that give conditions."""
     stage = "diagnose" if "diagnose/effects.csv" in results else "identify"
     robot = placed(robot, results)
     observed = read_observations(results.rows("identify/observations.csv", ModelObservation))

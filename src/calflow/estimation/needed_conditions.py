@@ -71,11 +71,7 @@ def check_stated(needed: Iterable[NeededCondition], given: Sequence[str], instea
 
 
 def check_payload_stated(model: Model, carried: Sequence[str], stated: bool) -> None:
-    """Check that a payload is stated if the model's positions depend on it and payloads were carried in the calibration.
-
-    Raises:
-        InputError: it is not stated.
-    """
+    """Check that a payload is stated if the model's positions depend on it and payloads were carried; else raise InputError."""
     if carried and not stated and "payload" in depended_on(model):
         raise refuse(
             f'expected {", ".join(model.robot.payloads)} or "" for nothing (in a table: a column payload, with an empty cell for '

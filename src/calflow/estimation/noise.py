@@ -64,10 +64,7 @@ class Scatter:
 
 
 def deviations(error: np.ndarray, group: np.ndarray, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return each row's deviation (n_rows, n_axes) from the mean of its group's kept rows, and their number (n_rows,).
-
-    group (n_rows,) numbers the groups from 0; kept (n_rows,) is a mask.
-    """
+    """Return each row's deviation (n_rows, n_axes) from the mean of its group's kept rows (a mask), and their number."""
     count = np.bincount(group, weights=kept)
     sums = np.stack([np.bincount(group, weights=axis * kept) for axis in error.T], axis=1)
     return error - (sums / np.maximum(count, 1)[:, None])[group], count[group]
@@ -283,10 +280,7 @@ def stated_noise(data: Measurements) -> Noise:
 
 
 def averaged(data: Measurements, noise: Noise) -> tuple[Measurements, Noise]:
-    """Return the mean of each pose's repeats (see `Measurements.repeated`), and the noise of the means.
-
-    The model's discrepancy is the same in all repeats of a pose, so that together they count as one observation of it.
-    """
+    """Return the mean of each pose's repeats, which are one observation of the model's discrepancy, and the noise of the means."""
     group = data.repeated
     count = np.bincount(group)
     if (count == 1).all():

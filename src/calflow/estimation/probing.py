@@ -61,33 +61,26 @@ class Levers(Effect):
         return _unpacked(Inner.still(self.robot), p)
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return one parameter per quantity."""
         return tuple(
             Parameter(self.id, str(k), "", "1", 1.0, -1.0, 1.0) for k in range(_width(Inner.still(self.robot)))
         )
 
     def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
-        """Add to the dimensions."""
         return _unpacked(dims, stacked(dims) + stacked(self._added(p).dims))
 
     def loads(self, p: ca.SX, loads: Loads, row: Row) -> Loads:
-        """Add to the masses."""
         return _unpacked(loads, stacked(loads) + stacked(self._added(p).loads))
 
     def torque(self, p: ca.SX, state: State, row: Row) -> ca.SX | float:
-        """Add to the torques."""
         return self._added(p).torque
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
-        """Move joints, bearings and link ends."""
         return self._added(p).deflection
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
-        """Add to the reported point."""
         return point + self._added(p).reported
 
     def target(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
-        """Move a target's point."""
         return point + self._added(p).target
 
 
@@ -159,7 +152,6 @@ class Probe:
 
     @property
     def n_parameters(self) -> int:
-        """Number of the model's parameters, without those of the effects."""
         return len(self.problem.model.parameters)
 
     @property
@@ -196,10 +188,7 @@ class Probe:
 
 
 def probed(problem: LeastSquares, p: np.ndarray, effects: Sequence[Effect]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the stacked residuals (n,) at p, whitened and decorrelated, and their Jacobian (n, n_parameters + n_columns).
-
-    Its columns are the model's parameters, then those of the additional effects, at nominal values.
-    """
+    """Return the residuals (n,) at p, decorrelated, and the Jacobian by the model's parameters, then the effects'."""
     return Probe.of(problem, p, effects).whole()
 
 

@@ -117,7 +117,6 @@ class PlacementErrors(Geometry):
 
     @cached_property
     def errors(self) -> tuple[DimensionError, ...]:
-        """The placement errors of base, markers and tool."""
         return tuple(
             error for error in super().errors if error.field in ("base", "markers", "markers_turn", "tool_rotation")
         )
@@ -151,11 +150,7 @@ def registered_model(data: Measurements) -> tuple[Model, Measurements]:
 
 
 def check_one_tool(measured: Measurements) -> None:
-    """Refuse orientations of markers on several links, as a robot has a single tool rotation.
-
-    Raises:
-        InputError: orientations are measured on several links.
-    """
+    """Refuse, by InputError, orientations of markers on several links, as a robot has a single tool rotation."""
     if measured.rotation is None:
         return
     robot, oriented = measured.robot, np.isfinite(measured.rotation).all(axis=(1, 2))
@@ -167,8 +162,7 @@ def check_one_tool(measured: Measurements) -> None:
 
 
 def _located(robot: Robot, observed: tuple[Observation, ...], train: Measurements) -> Robot:
-    """Return the robot with unknown markers placed by the flange's motion (`with_markers`), its base by rigid registration of
-    nominal to measured points (Kabsch 1976), and base and tool refined together by a robust fit."""
+    """Return the robot with markers placed (`with_markers`), its base registered (Kabsch 1976), both refined robustly."""
     here = in_measuring_frame(observed, train)
     if not here.any():
         return robot
@@ -234,10 +228,7 @@ def with_placement_errors(robot: Robot, base: np.ndarray, tool: np.ndarray, mark
 
 
 def about_places(stated: Robot, placed: Robot) -> tuple[Expected, ...]:
-    """Return what is stated of the parameters of known markers about the places where these now are, and the rest as it is.
-
-    A statement on a marker is about its place in the robot file, not about the one with which the nominal robot fits best.
-    """
+    """Return the robot's statements, those on known markers about where these now are instead of the robot file's places."""
     before, after = (np.array([marker.point for marker in robot.markers.values()]) for robot in (stated, placed))
     known = {
         name: k for k, (name, marker) in enumerate(stated.markers.items()) if marker.known and not marker.relative_sd

@@ -69,10 +69,7 @@ class ResidualField:
         return np.asarray((self.size * self.share(readings)) ** 2 * known)
 
     def left_of(self, variance: np.ndarray, readings: np.ndarray) -> np.ndarray:
-        """Return what the correction leaves of a variance (k, 3) [m²] of errors beyond the device's noise.
-
-        It is less by what the field explains, but no less than what the field leaves of its own prior variance.
-        """
+        """Return what the correction leaves of a variance (k, 3) [m²] beyond noise, at least as much as of the prior's."""
         return np.maximum(variance, self.size**2 + self.own**2) - self.explained(readings)[:, None]
 
     def share(self, readings: np.ndarray) -> np.ndarray:
@@ -213,7 +210,6 @@ class FieldAccuracy:
 
 
 def pose_table(field: ResidualField | None, robot: Robot) -> pd.DataFrame:
-    """Return the table of `FieldPose`s."""
     n = robot.n_joints
     nodes, left = (field.nodes, field.left) if field else (np.zeros((0, n)), np.zeros((0, 3)))
     columns = dict(zip(_names(robot), (nodes * _factors(robot)).T, strict=True))

@@ -72,7 +72,6 @@ class SmoothFunction(Effect):
         raise NotImplementedError
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return the amplitudes, numbered."""
         kind = type(self).__name__
         return tuple(
             Parameter(self.id, kind, str(k), unit, self.usual, -1.0, 1.0) for k, unit in enumerate(self.units, start=1)
@@ -88,12 +87,10 @@ class OfJoints(SmoothFunction):
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """The joints on which it depends."""
         return tuple(f"q{i + 1}" for i in self.of)
 
     @property
     def spectrum(self) -> np.ndarray:
-        """Standard deviations that fall with the waves' order, along each direction."""
         return np.tile(self._sizes, len(self.declared) // len(self._sizes))
 
     @property
@@ -121,7 +118,6 @@ class JointField(JointError, OfJoints):
     erring: tuple[int, ...] = ()
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
-        """Return the waves."""
         waves = ca.vertsplit(self.waves(state.q)) if not self.erring or joint in self.erring else []
         return [Term(f"wave{k + 1}", self.unit(joint), SIZE, 1.0, value) for k, value in enumerate(waves)]
 
@@ -141,11 +137,9 @@ class OfTorque(JointError, SmoothFunction):
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """The joint's torque."""
         return (f"{ITS_TORQUE}{self.erring + 1}",)
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
-        """Return waves of its share of the rated torque."""
         if joint != self.erring:
             return []
         waves = ca.vertsplit(ca.vec(_phases(np.pi / 2 * self.load(joint, state) @ ca.DM(range(1, self.orders + 1)).T)))
@@ -160,12 +154,10 @@ class AlongSlides(JointField):
 
     @property
     def _sizes(self) -> np.ndarray:
-        """Equal relative standard deviations."""
         return np.ones(len(self.slides))
 
     @property
     def slides(self) -> tuple[int, ...]:
-        """The slides among the joints on which it depends."""
         return tuple(i for i in self.of if self.robot.joints[i].kind == "prismatic")
 
     def waves(self, q: ca.SX) -> ca.SX:
@@ -181,11 +173,9 @@ class Shift(OfJoints):
 
     @property
     def units(self) -> Sequence[str]:
-        """Those of the waves along all three axes."""
         return 3 * len(self._sizes) * ["m"]
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
-        """Return the shifted point."""
         return point + ca.reshape(p, p.numel() // 3, 3).T @ self.waves(row.q)
 
 
@@ -195,7 +185,6 @@ class LinkLengths(SmoothFunction):
     units, usual = ("1",), GROWTH_SD
 
     def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
-        """Return the lengthened links."""
         return grown(self.robot, dims, 1 + p)
 
 
@@ -219,7 +208,6 @@ class Wandering(ActingEffect, SmoothFunction):
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """Time, or the order of the rows."""
         return (self.clock,)
 
     @property
@@ -233,7 +221,6 @@ class Wandering(ActingEffect, SmoothFunction):
         return WALKING[self.of](self.robot)
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return the step's amplitudes."""
         return tuple(
             replace(figure, effect=self.id, prior_sd=self.share * figure.prior_sd)
             for figure in self.quantity.parameters()
@@ -262,11 +249,9 @@ class Wandering(ActingEffect, SmoothFunction):
 
     @property
     def gives_way(self) -> bool:
-        """Whether the quantity does."""
         return self.quantity.gives_way
 
     def acting(self, p: ca.SX, row: Row) -> tuple[Effect, ca.SX]:
-        """Return the quantity's change, as much of it as has occurred."""
         return self.quantity, p * self.gone(row)
 
 
@@ -286,7 +271,6 @@ class InTime(Wandering):
         return gone * ca.exp(-ca.fmax(0, at - self.end) / self.time_constant)
 
     def gone(self, row: Row) -> ca.SX:
-        """Return that share, less its average."""
         at = row.time if self.clock == "time" else row.order
         if not at.nnz():
             return ca.SX(1, 1)
@@ -304,16 +288,13 @@ class UnderPayload(SmoothFunction):
 
     @property
     def detail(self) -> str:
-        """The payload in words."""
         return f"under {self.payload}"
 
     @property
     def units(self) -> Sequence[str]:
-        """Those of each joint's offset and wave, and of the shifts of marker and device."""
         return [joint.unit for joint in self.robot.joints for _ in range(3)] + 6 * ["m"]
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
-        """Return the deflection of the joints, and a shift of the flange with its load."""
         on, n = self._carried(row), self.robot.n_joints
         waves = [ca.vertcat(1, ca.cos(state.q[i]), ca.sin(state.q[i])) for i in range(n)]
         turned = [on * ca.dot(p[3 * i : 3 * i + 3], wave) for i, wave in enumerate(waves)]
@@ -322,7 +303,6 @@ class UnderPayload(SmoothFunction):
         return replace(still, joint=ca.vertcat(*turned), link=link)
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
-        """Return the shifted point."""
         return point + self._carried(row) * p[-3:]
 
     def _carried(self, row: Row) -> ca.SX:
@@ -340,7 +320,6 @@ class InPlace(SmoothFunction):
     units = 3 * len(_IN_PLACE) * ("m",)
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
-        """Return the shifted point."""
         near = (point - ca.DM(self.centre)) / self.reach
         terms = ca.vertcat(*(near[0] ** i * near[1] ** j * near[2] ** k for i, j, k in _IN_PLACE))
         return point + ca.reshape(p, len(_IN_PLACE), 3).T @ terms
@@ -358,7 +337,6 @@ class InImage(SmoothFunction):
     units, usual = 2 * len(_IN_IMAGE) * ("1",), LENS_SIZE
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
-        """Return the point on the deflected line of sight."""
         u, v = (point[axis] / (SIGHT * point[2]) for axis in (0, 1))
         terms = ca.vertcat(*(u**i * v**j for i, j in _IN_IMAGE))
         return point + point[2] * ca.vertcat(ca.reshape(p, len(_IN_IMAGE), 2).T @ terms, 0)
@@ -373,7 +351,6 @@ class OnTarget(SmoothFunction):
     units = 6 * ("m",)
 
     def target(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
-        """Return the shifted point."""
         x, y = point[0] / REACH, point[1] / REACH
         return point + ca.vertcat(p[0] * x + p[2] * y, p[1] * y + p[2] * x, bow(p[3:], point))
 
@@ -450,15 +427,10 @@ def _beside(groups: Sequence[frozenset[int]], *joints: int) -> tuple[int, ...]:
 
 
 def in_time(data: Measurements, of: str = Wandering.of, anew: bool = False) -> list[InTime]:
-    """Return the steps of a quantity's random walk in time, or in the order of the rows where no time is known.
+    """Return the steps of a quantity's random walk in time, or row by row where no time is known; none where all are of one time.
 
-    There are none where all rows are of one time.
-
-    Args:
-        data: the rows.
-        of: the quantity.
-        anew: whether it walks about its mean within each session alone, as a device that is placed anew for each; all these walks
-            have one variance per time, such that the mean square over the rows is that of a single walk.
+    If anew, it walks about its mean within each session alone, as a device placed anew for each: all these walks have one variance
+    per time, such that the mean square over the rows is that of a single walk.
     """
     clock: Literal["time", "order"] = "time" if "time" in data.given else "order"
     if clock not in data.given or data.table[clock].nunique() < 2:

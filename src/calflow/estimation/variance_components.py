@@ -64,11 +64,9 @@ class NormalEquations:
 
     @property
     def chi2(self) -> float:
-        """Sum of squares rᵀr where all coefficients are zero."""
         return float(self.products[-1, -1])
 
     def only(self, kept: np.ndarray) -> NormalEquations:
-        """Return those of some coefficients, given by indices, the others being zero."""
         kept = np.append(kept, len(self.gram))
         return replace(self, products=self.products[np.ix_(kept, kept)])
 
@@ -78,7 +76,6 @@ class NormalEquations:
         return replace(self, products=unit[:, None] * self.products * unit)
 
     def over(self, level: float) -> NormalEquations:
-        """Return those of residuals whose variance is the level."""
         return replace(self, products=self.products / level)
 
     def about(self, origin: np.ndarray) -> NormalEquations:
@@ -303,24 +300,17 @@ def _factor(positive: np.ndarray) -> np.ndarray:
 
 
 def directions(information: np.ndarray, score: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the arguments of `explained`, squared and value, both (…, n), along the principal axes of the information.
-
-    Args:
-        information: information matrix of the amplitudes, in units of their usual sizes, (…, n, n).
-        score: gradient of half chi² by them, likewise, (…, n).
-    """
+    """Return squared and value of `explained`, (…, n), of amplitudes' information (…, n, n), in usual sizes, and score (…, n)."""
     value, axes = np.linalg.eigh(information)
     value = np.maximum(value, np.finfo(float).tiny)
     return np.einsum("...ab,...a->...b", axes, score) ** 2 / value, value
 
 
 def explained(squared: np.ndarray, value: np.ndarray, sizes: np.ndarray = SIZES) -> tuple[np.ndarray, np.ndarray]:
-    """Return the reduction of chi² by amplitudes of each size, and the log-determinant of their narrowing, both (n_sizes, …).
+    """Return the reduction of chi² by amplitudes of each of sizes, and the log-determinant of their narrowing, (n_sizes, …).
 
-    Args:
-        squared: reduction of chi² along each direction of the amplitudes without a prior, (…, n_directions).
-        value: information on each direction at the usual size, over the prior's, of a shape that broadcasts to squared.
-        sizes: over the usual one, (n_sizes,).
+    squared (…, n_directions) is the reduction along each direction without a prior; value, of a shape that broadcasts to it, the
+    information on each at the usual size, over the prior's.
     """
     shrunk = sizes.reshape(-1, *[1] * squared.ndim) ** 2 * value.reshape(
         *[1] * (squared.ndim - value.ndim), *value.shape
@@ -330,15 +320,9 @@ def explained(squared: np.ndarray, value: np.ndarray, sizes: np.ndarray = SIZES)
 
 
 def log_likelihood(share: np.ndarray, narrowed: np.ndarray, degrees_of_freedom: float) -> np.ndarray:
-    """Return the log Bayes factor of amplitudes against none, the noise's level being integrated out.
+    """Return the log Bayes factor of amplitudes that reduce chi² by a share, against none; narrowed as of `explained`.
 
-    The noise's level has the residual degrees of freedom, which are fewer than residuals by the model's parameters (O'Hagan and
-    Forster 2004).
-
-    Args:
-        share: reduction of chi² as a share.
-        narrowed: log-determinant of the narrowing of the amplitudes.
-        degrees_of_freedom: residual ones of the model without the amplitudes.
+    The noise's level, of the residual degrees of freedom of the model without them, is integrated out (O'Hagan and Forster 2004).
     """
     return np.asarray(-(degrees_of_freedom * np.log1p(-np.minimum(share, 1 - 1e-12)) + narrowed) / 2)
 
@@ -353,12 +337,8 @@ def mixed(logs: np.ndarray) -> np.ndarray:
 def spent(amplitudes: np.ndarray, variants: int, scale: float = 1.0) -> float:
     """Return minus twice the log prior of a cause's amplitudes by a refit, beyond that of the normal prior of the fit.
 
-    The prior is over a standard normal's at its peak, and shared by the cause's variants.
-
-    Args:
-        amplitudes: estimates less the prior means, over the standard deviations of the fit's priors; nan at a bound.
-        variants: number of forms of the cause that were tried.
-        scale: those standard deviations over the usual sizes.
+    The prior is over a standard normal's at its peak, and shared by the cause's variants. amplitudes are over the standard
+    deviations of the fit's priors, nan at a bound; scale is these over the usual sizes.
     """
     pulled, number, sizes = np.nansum(amplitudes**2), np.isfinite(amplitudes).sum(), SIZES / scale
     of_sizes = -pulled / sizes**2 / 2 - number * np.log(sizes)

@@ -54,10 +54,7 @@ class Chain:
 
     @staticmethod
     def open(path: Path, number: int, shape: tuple[int, int], independent: float, say: Callable[[str], None]) -> Chain:
-        """Return a chain of ensembles of shape (n_walkers, n_dimensions), to be continued if its file exists.
-
-        A damaged file, or one of another shape or share of independence proposals, is discarded.
-        """
+        """Return a chain of ensembles (n_walkers, n_dimensions), continued from its file unless damaged or of another kind."""
         if path.exists():
             try:
                 chain = Chain.read(path)
@@ -75,12 +72,7 @@ class Chain:
 
     @staticmethod
     def read(path: Path) -> Chain:
-        """Return the chain in a file.
-
-        Raises:
-            OSError: it cannot be read.
-            ValueError: it was changed since it was written.
-        """
+        """Return the chain in a file; raises OSError if it cannot be read, ValueError if it was changed since it was written."""
         import h5py
 
         content = path.read_bytes()
@@ -91,11 +83,7 @@ class Chain:
             return Chain(path, ensembles, float(file.attrs["independent"]))
 
     def save(self) -> None:
-        """Write all steps so far to the file.
-
-        Raises:
-            OSError: the disk is full.
-        """
+        """Write all steps so far to the file; raises OSError where the disk is full."""
         import h5py
 
         image = io.BytesIO()

@@ -59,12 +59,10 @@ class Coordinates:
 
     @property
     def n_cut(self) -> int:
-        """Number of transformed parameters."""
         return len(self.lower)
 
     @property
     def cut(self) -> np.ndarray:
-        """Indices of the transformed parameters."""
         return self.order[: self.n_cut]
 
     def mapped(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -124,10 +122,9 @@ class Laplace:
         return Laplace(estimate, estimate - covariance @ gradient, covariance, sd, variance)
 
     def beside_smooth_errors(self, covariance: np.ndarray) -> Laplace:
-        """Return the approximation with the posterior covariance (n, n) in the presence of smooth errors, zero for held parameters.
+        """Return the approximation with the posterior covariance (n, n) beside smooth errors, zero for held parameters.
 
-        It replaces the covariance under white noise, so that the data's information is reduced by the difference. A held
-        parameter keeps its own information; its correlations are transformed along with the other parameters.
+        These keep their own information; their correlations are transformed along with the other parameters.
         """
         free, scale = np.flatnonzero(np.diag(covariance)), np.sqrt(np.diag(self.covariance))
         information = np.linalg.inv(self.covariance / np.outer(scale, scale))
@@ -185,7 +182,6 @@ class LogPosterior:
 
     @property
     def n_dimensions(self) -> int:
-        """Number of coordinates."""
         return len(self.coordinates.mean)
 
     def parameters(self, u: np.ndarray) -> np.ndarray:
@@ -193,10 +189,7 @@ class LogPosterior:
         return self.coordinates.mapped(u)[0]
 
     def densities_at(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return log prior and log likelihood, each (n_walkers,) and up to a constant, of parameters (n_walkers, n_dimensions).
-
-        Outside the bounds the log prior is -inf, and the log likelihood, which is not evaluated there, 0.
-        """
+        """Return log prior and log likelihood (n_walkers,), up to constants, of parameters; -inf and 0 beyond bounds."""
         model = self.problem.model
         values, log_noise = x[:, :-1], x[:, -1]
         lower, upper = model.bounds.T
@@ -210,20 +203,16 @@ class LogPosterior:
         return prior, likelihood
 
     def densities(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the log posterior of coordinates (n_walkers, n_dimensions), and log prior and log likelihood of their parameters.
-
-        Each (n_walkers,) and up to a constant. The first, -inf outside the bounds, also includes the log Jacobian of the map.
-        """
+        """Return the log posterior (n_walkers,) of coordinates, with the map's log Jacobian, and log prior and likelihood there."""
         x, log_slope = self.coordinates.mapped(u)
         prior, likelihood = self.densities_at(x)
         return prior + likelihood + log_slope, prior, likelihood
 
 
 def move_mixture(independent: float) -> list[tuple[Move, float]]:
-    """Return the mixture of moves: an independence proposal (Student t in the coordinates) and differential evolution.
+    """Return the mixture of moves: a share of independence proposals (Student t in u), and differential evolution.
 
-    independent is the share of the first. `DESnookerMove` is omitted on purpose: in emcee 3.1.6 its acceptance lacks a
-    factor, so that it samples too narrow a posterior.
+    `DESnookerMove` is omitted on purpose: in emcee 3.1.6 its acceptance lacks a factor, so that its posterior is too narrow.
     """
     from emcee.moves import DEMove, MHMove
 

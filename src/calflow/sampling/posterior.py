@@ -161,10 +161,7 @@ class PredictedError:
 
 
 def effective_samples(values: np.ndarray) -> np.ndarray:
-    """Return the effective sample sizes (n_parameters,) of values (n_ensembles, n_steps, n_walkers, n_parameters).
-
-    Each walker counts as a chain (Vehtari et al. 2021).
-    """
+    """Return effective sample sizes of values (n_ensembles, n_steps, n_walkers, n), each walker a chain (Vehtari et al. 2021)."""
     ess, chains = _array_stats().ess, _by_walker(values)
     return np.array([float(ess(chains[:, :, k])) for k in range(chains.shape[-1])])
 
@@ -184,10 +181,7 @@ def _array_stats() -> Any:
 
 
 def predictive_table(posterior: Posterior, rng: np.random.Generator) -> pd.DataFrame:
-    """Return each row's error and its posterior predictive interval, without rows left out.
-
-    Draws are over the parameters and over the causes found and their rivals, by their probabilities.
-    """
+    """Return the error and predictive interval of each row in use, over draws of parameters, causes found and their rivals."""
     data = posterior.data.only(posterior.data.train | posterior.data.held_out)
     units = leading_units(data)
     unit = judged_unit(units)
@@ -220,8 +214,7 @@ def predictive_table(posterior: Posterior, rng: np.random.Generator) -> pd.DataF
 def _quantiles(deviation: np.ndarray, level: np.ndarray, sigma: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Return the 2.5, 50 and 97.5 % quantiles of each row's distance from the mean prediction, (3, n_rows) in the unit judged.
 
-    deviation (n_draws, n_rows, 3) is that of draws from the mean, level (n_draws,) their noise over the fit's, and sigma
-    (n_rows, 3) the standard deviations of the noise.
+    deviation (n_draws, n_rows, 3): of draws from the mean; level (n_draws,), sigma (n_rows, 3): of the noise.
     """
     points = scipy.stats.qmc.Halton(3, rng=rng).random(len(level) * NOISE_DRAWS)
     noise = level[:, None] * scipy.special.ndtri(points).T.reshape(3, -1, NOISE_DRAWS)
@@ -269,10 +262,7 @@ class Posterior:
     rng: Draws
 
     def drawn(self, number: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-        """Return a number of draws, at most all: points (n_draws, n_parameters + 1), and the rivals that act in each.
-
-        The mask (n_draws, n_alternatives) says where a rival replaces the cause found, with its probability and independently.
-        """
+        """Return draws, at most all: points (n_draws, n_parameters + 1), and which rivals act (n_draws, n_alternatives)."""
         flat = self.points.reshape(-1, self.points.shape[-1])
         points = flat[rng.choice(len(flat), size=min(number, len(flat)), replace=False)]
         probable = [other.probability for other in self.calibrated.alternatives]
@@ -301,8 +291,7 @@ class Posterior:
     def table(self) -> pd.DataFrame:
         """A summary of each parameter (see `sample/posterior.csv`); the noise level is a factor on the noise used by identify.
 
-        R-hat compares the ensembles, each flattened, since only they are independent; the effective sample size accounts for
-        the autocorrelation of each walker (both rank-normalised, Vehtari et al. 2021). Sensitivities are by power scaling.
+        R-hat compares the ensembles, each flattened, since only they are independent (Vehtari et al. 2021).
         """
         array_stats = _array_stats()
         values = self.values

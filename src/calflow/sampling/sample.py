@@ -83,7 +83,6 @@ def too_few_walkers(walkers: int | None, n_dimensions: int) -> str:
 
 
 def _burn_in(steps: int, tau: float) -> int:
-    """Return the number of burn-in steps among steps; tau is the autocorrelation time [steps]."""
     return min(steps // 4, int(min(5 * tau, steps)))
 
 
@@ -98,10 +97,9 @@ def _lengthen(
     log_posterior: LogPosterior, chain: Chain, starts: Sequence[np.ndarray], seeds: Sequence[int], length: ChainLength,
     advance: Advance,
 ) -> tuple[int, float, np.ndarray]:  # fmt: skip
-    """Extend all ensembles in blocks until they are long enough or reach the maximum length.
+    """Extend all ensembles in blocks until they are long enough; return steps, autocorrelation time, and sample sizes (n,).
 
-    Of a continued chain only as many steps count as a fresh run would have made. Returns the number of steps, the
-    autocorrelation time [steps], and the effective sample size of each parameter (n_dimensions,).
+    Of a continued chain only as many steps count as a fresh run would have made.
     """
     steps, kept = 0, min(ensemble.iteration for ensemble in chain.ensembles)
     while True:
@@ -158,10 +156,7 @@ def _mixing(chain: Chain, steps: int) -> tuple[float, float]:
 
 
 def _autocorrelation_time(values: np.ndarray) -> float:
-    """Return the integrated autocorrelation time of one parameter's values (n_steps, n_walkers), as defined by emcee.
-
-    One transform serves all walkers: emcee's `integrated_time`, walker by walker, took a tenth of a short chain's time.
-    """
+    """Return emcee's integrated autocorrelation time of values (n_steps, n_walkers), by one transform for all walkers: quicker."""
     from emcee.autocorr import auto_window
 
     centred = (values - values.mean(axis=0)).T

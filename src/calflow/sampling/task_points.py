@@ -39,7 +39,6 @@ class TaskTolerances:
 
     @property
     def anything(self) -> bool:
-        """Whether any tolerance is stated."""
         return self.tolerance is not None or self.turn_tolerance is not None
 
 
