@@ -1,7 +1,4 @@
-"""Candidate poses: joint readings within limits whose tool is visible to the measuring device.
-
-For contact measurements and cameras, the readings bring the marker to the surface, or the target into the image.
-"""
+"""Candidate poses within limits, visible to the device; for contact or cameras, with the marker on the surface or in the image."""
 
 from __future__ import annotations
 

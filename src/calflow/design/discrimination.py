@@ -1,6 +1,4 @@
-"""Discrimination: further poses that would separate causes between which the data cannot decide.
-
-Any rival of a finding may be the true cause, so poses are to separate all of them from each other (T-optimality)."""
+"""Discrimination: poses that separate all causes between which the data cannot decide from each other (T-optimality)."""
 
 from __future__ import annotations
 

@@ -1,10 +1,8 @@
 """Isolability: which causes a planned measurement would detect, and from which others it would distinguish each.
 
-For every cause at a stated size, measurements are simulated by the linearised model and the noise, and all causes are
-tested and compared as in diagnose: the best that passes is the finding, and those near it form the finding's set. The
-share of draws in which the cause is in that set is its probability of detection; the share in which, besides, a rival
-is not in it is the probability of distinguishing it from the rival. The table names the cheapest addition to the plan
-that closes each cause's worst gap.
+For every cause at a stated size, measurements are simulated by the linearised model and the noise, and all causes are tested and
+compared as in diagnose. The share of draws in which the cause is in the finding's set is its probability of detection; the share
+in which, besides, a rival is not in it is the probability of distinguishing them.
 """
 
 from __future__ import annotations

@@ -1,8 +1,4 @@
-"""A planned measurement: the kind of observation of further poses, with its standard deviations.
-
-Also the task (the poses and payloads at which the tool's error counts), the request for a selection of poses, and the
-reading of stated poses from a CSV file of joint readings, such as a robot's taught poses.
-"""
+"""A planned measurement with its standard deviations, the task at which the tool's error counts, and the request for poses."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""The skeleton: positions of a robot's joints, flange, bars and marker at many poses, by the nominal kinematics.
-
-With distances between the axes of capsules, and from these to boxes, vectorised over poses.
-"""
+"""The skeleton: positions of a robot's joints, flange, bars and marker at many poses, and distances between capsules and boxes."""
 
 from __future__ import annotations
 

@@ -1,10 +1,9 @@
 """The posterior of the calibrated tool's error over its task, with what the model may lack though unproven.
 
-A draw from the posterior is a robot compatible with the data. It has a cause that the catalogue has and the model lacks, with the
-probability that the diagnosis gives to its place, or none; smooth errors of the error model, of sizes drawn from their posterior,
-with the parameters beside them; an independent error of each pose; the diagnosis' rivals in the causes' places; and the excess
-error of poses left out in turn (see `LeftOut`). The error is the distance of the draw's tool from the model's, without device
-noise, and the share of draws within a tolerance is the probability of meeting it, at any stopping time (Berger 1985, 7.7).
+A draw is a robot compatible with the data: with one cause that the model lacks, by the probability of its place, or none; smooth
+errors, of sizes drawn from their posterior; an independent error of each pose; the rivals in the causes' places; and the excess
+error of poses left out in turn (see `LeftOut`). The share of draws within a tolerance is the probability of meeting it, at any
+stopping time (Berger 1985, 7.7).
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
-"""Worth: the reduction of the tool's expected error over the task by single additions to a plan.
+"""Worth: the reduction of the tool's expected error over the task by single additions to a plan, and by more poses.
 
-All from Jacobians at the nominal robot; nuisance parameters of an addition (the pose of a second station, the position
-of a second marker) are marginalised. Also the number of poses: the fewest that meet a tolerance, a lower bound for any
-choice, and the gain by ten more.
+All from Jacobians at the nominal robot; nuisance parameters of an addition (the pose of a second station, the position of a second
+marker) are marginalised.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""The diagnosis: a search for the causes that the identified model lacks, each weighed against its rivals.
-
-Its result is the extended model with its accuracy and noise, and a summary of the search and of the remaining misfit.
-"""
+"""The diagnosis: a search for the causes that the identified model lacks, each weighed against its rivals."""
 
 from __future__ import annotations
 

@@ -1,8 +1,5 @@
 """The extension: a robot's model with causes by stepwise search, each compared with an unnamed error.
 
-A trial of the search is a model fitted by IPOPT with its set of causes. A cause with an inner unknown (an order, a moment, a time
-constant) is refined between its neighbours in the scan.
-
 The search first takes errors as independent, then as correlated by a background (see `background`). A cause has to explain the
 data better than the background that would replace it, to be significant beside it over its whole family, and to carry over to
 left-out blocks of training poses (see `cross_validation`).

@@ -1,8 +1,4 @@
-"""The findings: data faults, causes with their rivals, and unexplained structure, with their words and figures.
-
-The amplitude is one figure for a cause's size, with a standard deviation averaged over all forms that explain the data as well. The
-gain is the reduction of the held-out error by a finding, with an interval.
-"""
+"""The findings: data faults, causes with their rivals, and unexplained structure, with their words, sizes and held-out gains."""
 
 from __future__ import annotations
 

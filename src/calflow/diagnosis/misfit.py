@@ -1,8 +1,4 @@
-"""Misfit: the region in which a lack of fit is largest.
-
-A lack of fit is reported whether any input explains it or not. Its largest region is searched for one input at a time: in ranges
-between eighths of the poses, and at each value of labels with few values.
-"""
+"""Misfit: the region in which a lack of fit is largest, of ranges between eighths of the poses along an input, or of a label."""
 
 from __future__ import annotations
 

@@ -4,9 +4,6 @@ A linear model is swept for tests beside it without some of its parameters, and 
 Nothing is factored again. With C the covariance RᵀR of the parameters that leave, W = R⁻ᵀ times their response to the candidates,
 and h likewise of the way from where they would be to zero, S grows by WᵀW, u by Wᵀh and chi² by hᵀh. Parameters that come lower
 them in the same manner.
-
-Candidates are also tested against many simulated residuals at once (`trials`). p-values are corrected for the number of tests
-(`Family`).
 """
 
 from __future__ import annotations

@@ -1,14 +1,8 @@
 """Stepwise model search: causes are added to a model while one is accepted, then dropped, replaced, merged or exchanged.
 
-Merging: several causes of one family at one joint are replaced by a single one that contains them. Orders found one after another
-on a joint are often one curve, successive steps one drift. No replacement of one cause leads there, since the others already
-explain their parts.
-
-Exchange: two causes at once in the place of others. Similar causes mask each other: a third that explains most of both is found
-first, and no replacement of a single cause leads back.
-
-Steps that the linearisation excludes are not fitted, with an allowance of a share of what is removed. A step that proves worse is
-undone, so that at most one of each kind fails at a model.
+Orders found one after another on a joint are often one curve, successive steps one drift: all of a family at a joint are merged
+into one, to which no replacement of a single cause leads. Similar causes mask each other, a third that explains most of both
+being found first: two at once are exchanged for others. Steps that the linearisation excludes are not fitted.
 """
 
 from __future__ import annotations

@@ -1,18 +1,12 @@
 """Unexplained structure: a dependence of the residual on inputs that no cause of the catalogue explains.
 
-Decoys are smooth functions of the inputs without a physical meaning. They are tested as causes are, as a family of their own; a
-significant decoy is reported as unexplained, never as a cause.
-
-Unexplained structure has suspects: the family of general errors along its input, and causes that failed their test but are too
-probable to be ignored.
-
-Unexplained structure is predicted by the error model's posterior mean with that structure's functions alone, which has no physical
-meaning and is never part of the model.
+Decoys are smooth functions of the inputs without a physical meaning, tested as a family of their own, as causes are. A significant
+one is reported as unexplained, with the general errors along its input and causes that failed their test as suspects. It is
+predicted by the error model's posterior mean with that structure's functions alone, and never part of the model.
 
 Joints that do not repeat have errors independent from standstill to standstill, which no input explains: play is one where the
-approach was not recorded. The variance of each joint's random error is estimated by restricted likelihood (see
-`variance_components`) beside the model and the smooth background. It moves the tool in the joint's direction and by its moment arm,
-and all markers together, as neither noise nor an error of the pose as a whole does.
+approach was not recorded. Each joint's variance (see `variance_components`), beside the model and the smooth background, moves
+the tool in the joint's direction and by its moment arm, and all markers together, as neither noise nor a pose's own error does.
 """
 
 from __future__ import annotations

@@ -1,12 +1,9 @@
 """The verdict on each finding: its status, the probability of its cause, and the rivals that the data do not exclude.
 
-The likeliest rivals are fitted in place of the causes found. The models in reach are the causes found with some left out or
-exchanged, or one added, with posterior probabilities by the verdicts.
-
-A cause's amplitude is one figure for its parameters, with a standard deviation that covers its possible forms. A certain cause goes
-into the model to be used: it is named, and its amplitude differs significantly from zero. Any other of the robot remains suspected
-unless it lowers the leave-one-pose-out error, since what is right at the fitted poses can be wrong at all others. A cause of the
-measuring device is not applied to the robot: it stays in the model, to keep its error out of the other parameters.
+The models in reach are the causes found with some left out or exchanged, or one added, with probabilities by the verdicts.
+A certain cause goes into the model to be used. Any other of the robot remains suspected unless it lowers the leave-one-pose-out
+error, since what is right at the fitted poses can be wrong at all others. A cause of the measuring device is not applied to the
+robot: it stays in the model, to keep its error out of the other parameters.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""The difference of two calibrations' parameters and its significance.
-
-Also the likelihood of the measurements alone: an estimate and its covariance with the prior removed.
-"""
+"""The difference of two calibrations' parameters and its significance, and what the measurements say without the prior."""
 
 from __future__ import annotations
 

@@ -2,11 +2,8 @@
 
 Residuals are white noise plus random smooth functions of joints, place, payload and time, with variances by the data (see
 `variance_components`). The parameters' covariance is that of generalised least squares with them (Aitken 1936), so that a smooth
-misfit does not count as many independent errors, nor its extrapolation as certain.
-
-A prediction's error is that of the parameters and of the functions, both given the data: small between measured poses, with the
-functions' prior variance far from them (at a joint past its travel, or at a later hour, see `extrapolation`). It is the same for
-whatever is predicted, a position, an orientation or what a device reports, by its derivatives.
+misfit does not count as many independent errors, nor its extrapolation as certain. A prediction's error is that of parameters and
+functions, given the data: small between measured poses, with the prior variance far from them (see `extrapolation`).
 """
 
 from __future__ import annotations

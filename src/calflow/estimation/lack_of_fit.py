@@ -1,7 +1,4 @@
-"""Lack of fit: F and chi² tests of a model's residuals against the noise, the discrepancy, and doubts of a stated noise.
-
-A stated noise is doubted where the scatter of repeats contradicts it, or the residuals are far smaller.
-"""
+"""Lack of fit: F and chi² tests of a model's residuals against the noise, the discrepancy, and doubts of a stated noise."""
 
 from __future__ import annotations
 

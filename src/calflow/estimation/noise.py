@@ -1,8 +1,4 @@
-"""The measurement noise of each row, and the model's discrepancy beyond it.
-
-Repeats are rows of one pose measured again under the same conditions. Their scatter about the mean estimates the device's noise;
-their means are fitted.
-"""
+"""The measurement noise of each row, by the scatter of repeats of its pose or as stated, and the model's discrepancy beyond it."""
 
 from __future__ import annotations
 

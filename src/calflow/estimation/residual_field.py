@@ -1,10 +1,7 @@
 """The residual field: a smooth, non-physical correction of a calibrated model's residuals as a function of the joint readings.
 
 A Gaussian process (Rasmussen and Williams 2006, 2.2, 5.4.1) over the joint readings, scaled by their measured ranges: a squared
-exponential kernel with one correlation length per joint, the same for the three coordinates. Beyond the measured range of any
-joint the correction fades to zero, and its standard deviation rises to the prior's.
-
-A run folder keeps its training poses as a table, its hyperparameters and its gain as a document.
+exponential kernel with one correlation length per joint, the same for the three coordinates.
 """
 
 from __future__ import annotations

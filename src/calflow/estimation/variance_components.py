@@ -1,14 +1,9 @@
 """Variance components: the variances of random functions beside a linearised model, by restricted likelihood.
 
 The residual is white noise plus basis functions with normal amplitudes, one variance per part. The model's parameters are
-integrated out (Patterson and Thompson 1971). Variances are updated by the ratio of observed to expected squares; a part is
-accepted if a score test is significant and the likelihood gains by it. Where the parameters almost imitate a part's functions,
-the likelihood hardly limits its variance, but a half-normal prior does (Gelman 2006), by which all functions of a part together
-have about the usual size of one. Predictions use posterior mean variances: the likeliest, taken as known, make intervals too
-narrow (Kass and Steffey 1989).
-
-A linear problem is kept as its normal equations: priors, other units, another origin and the elimination of coefficients act on
-their matrix of inner products alone.
+integrated out (Patterson and Thompson 1971). A part is accepted if a score test is significant and the likelihood gains by it.
+Where the parameters almost imitate it, the likelihood hardly limits its variance, but a half-normal prior does (Gelman 2006).
+Predictions use posterior mean variances: the likeliest make intervals too narrow (Kass and Steffey 1989).
 
 Evidence: the marginal likelihood of amplitudes of unknown size, in closed form on a linearised model. A priori they are normal
 about zero with the standard deviations that a cause declares times one of SIZES, up to the usual size with equal probability and

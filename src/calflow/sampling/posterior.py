@@ -1,8 +1,4 @@
-"""The sampled posterior: marginals, sensitivity to the prior, posterior predictive errors, and convergence of the chain.
-
-Predictions average over the model and its rival causes, weighted by their probabilities. Sensitivity to prior and likelihood is
-measured by power scaling (Kallioinen et al. 2023).
-"""
+"""The sampled posterior: marginals, sensitivity to the prior, posterior predictive errors over rival causes, and convergence."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
 """The points of a task: distribution of the robot's error relative to its model at each point, by posterior draws.
 
-Draws of the parameters and of rival causes are propagated through the model; to each is added a draw of the model discrepancy, with
-the size that the fit estimated for new poses. Images alone show no tool: then errors are those that are left once it is taught at
-the measured poses, that is, without their mean there in the tool's own axes.
+To each is added a draw of the model discrepancy for new poses. Images alone show no tool: then errors are those that are left once
+it is taught at the measured poses, that is, without their mean there in the tool's own axes.
 """
 
 from __future__ import annotations
