@@ -180,7 +180,6 @@ class Isolability:
     def _words(
         self, cause: Place, rival: Place | None, filled: tuple[str, float] | None, tried: Mapping[str, Isolability]
     ) -> str:
-        """Return a gap and its remedy in words."""
         what = "detected" if rival is None else f"distinguished from {self._name(rival)}"
         needs = self._needs(cause, rival)
         how = f"not {what}: it takes {needs}" if needs else f"{what} in {_percent(self.chance_of(cause, rival))}"
@@ -319,7 +318,6 @@ def _indistinguishable(cause: Cause, catalogue: Catalogue, tested: Mapping[Place
 
 
 def isolability_summary(table: pd.DataFrame) -> str:
-    """Return how many causes are detected, and how many of these are distinguished from all others."""
     tested = table[table["part"].fillna("") != ""]
     seen = int(tested.loc[tested["rival"].fillna("") == "", "enough"].sum())
     separable = tested.groupby(["cause", "part"])["enough"].all()
@@ -327,7 +325,6 @@ def isolability_summary(table: pd.DataFrame) -> str:
 
 
 def isolability_gaps(table: pd.DataFrame) -> list[str]:
-    """Return in words the causes' worst gaps that an addition closes, the widest first."""
     gaps = table[table["worst"] & (table["addition"].fillna("") != "")]
     return list(gaps.sort_values("chance", kind="stable")["words"])
 

@@ -127,7 +127,6 @@ def _shares(tool: np.ndarray, information_matrix: np.ndarray, measure: Measure) 
 
 
 def _reason(every: Sequence[Uncertainty], criterion: ToolError, before: np.ndarray, after: np.ndarray) -> str:
-    """Return in words the uncertainty that a pose reduces most."""
     gone = np.linalg.inv(before) - np.linalg.inv(after)
     moved = (criterion.root @ criterion.root.T) * gone
     gains = [float(moved[span, span].sum()) for span in consecutive(doubt.seen.shape[2] for doubt in every)]
@@ -224,7 +223,6 @@ class NextStep:
 
     @property
     def results(self) -> Results:
-        """poses.csv and verdict.json."""
         return Results({"poses.csv": self.poses}, {"verdict.json": to_document(self.verdict)})
 
 
@@ -314,12 +312,10 @@ def _table(model: Model, choices: Measurements, reasons: Mapping[int, str], aske
 
 
 def _rival(alternative: Alternative) -> NamedCause:
-    """Return the name of what may act in a cause's place."""
     return named(alternative.rival) if alternative.rival else NamedCause(UNEXPLAINED, 0)
 
 
 def _suspects(rivals: Sequence[Alternative], fitted: Fitted, causes: Sequence[LackingCause]) -> tuple[Suspect, ...]:
-    """Return the suspects, the likeliest first."""
     of_poses = float(independent_sizes(fitted)[1][1:].sum())
     every = [
         *(_named_suspect(named(lacking.cause), "cause", lacking.probability) for lacking in causes),
@@ -335,7 +331,6 @@ def _suspects(rivals: Sequence[Alternative], fitted: Fitted, causes: Sequence[La
 
 
 def _named_suspect(cause: NamedCause, kind: Kind, probability: float) -> Suspect:
-    """Return a suspect that has a name."""
     return Suspect(name=cause.name, kind=kind, cause=cause.cause, joint=cause.joint or None, probability=probability)
 
 
@@ -347,7 +342,6 @@ def numbered_on(table: pd.DataFrame, data: Measurements | None) -> pd.DataFrame:
 
 
 def in_mm(length: float | None) -> float | None:
-    """Return a length [m] in mm; None for None."""
     return None if length is None or not np.isfinite(length) else 1e3 * length
 
 

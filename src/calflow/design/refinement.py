@@ -74,7 +74,6 @@ def _slope(model: Model, request: SelectionRequest) -> ca.Function | None:
 
 
 def _packed(model: Model, request: SelectionRequest, q: ca.SX) -> ca.SX:
-    """Return a row's packed conditions at readings."""
     fixed = request.rows(model, np.zeros((1, model.robot.n_joints)))[model.robot.n_joints :]
     return ca.vertcat(q, ca.DM(fixed))
 

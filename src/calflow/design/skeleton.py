@@ -56,7 +56,6 @@ def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _quotient(part: np.ndarray, whole: np.ndarray) -> np.ndarray:
-    """Return the quotient, 0 where the denominator is zero."""
     return np.divide(part, whole, out=np.zeros_like(part), where=np.abs(whole) > SHORT)
 
 
@@ -97,7 +96,6 @@ class Skeleton:
 
     @property
     def marker(self) -> np.ndarray:
-        """The reflector, (n, 3)."""
         return self.nodes[:, -1]
 
     @classmethod
@@ -110,7 +108,6 @@ class Skeleton:
         return cls(lines, nodes, axes, flange.transpose(0, 2, 1), bars)
 
     def part(self, which: np.ndarray) -> Self:
-        """Return the skeletons of a subset of poses, given by indices or a mask (n,)."""
         return type(self)(self.lines, *(getattr(self, field.name)[which] for field in fields(self)[1:]))
 
 

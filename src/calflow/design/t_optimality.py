@@ -29,7 +29,6 @@ class TCriterion:
 
     @property
     def separation(self) -> float:
-        """The separation [sd]: the norm of the residual of the best fit."""
         return float(np.sqrt(max(self.squared, 0.0)))
 
     @property
@@ -40,7 +39,6 @@ class TCriterion:
 
     @property
     def chance(self) -> float:
-        """The probability that the other explanation is excluded."""
         return float(scipy.stats.norm.cdf(self.lead))
 
 

@@ -56,7 +56,6 @@ class LackingCause:
         return np.linalg.cholesky(np.tensordot(self.sizes, second, 1))
 
     def drawn(self, number: int, rng: np.random.Generator) -> np.ndarray:
-        """Draw its parameters (number, n)."""
         size = rng.choice(len(self.sizes), number, p=self.sizes)
         spread = np.linalg.cholesky(self.covariance)[size] @ rng.standard_normal((number, self.mean.shape[1], 1))
         return np.asarray(self.mean[size] + spread[:, :, 0])
@@ -215,6 +214,5 @@ def independent_sizes(fitted: Fitted) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _size(error: np.ndarray, measure: Measure) -> np.ndarray:
-    """Return the root mean square or largest length (n_draws,) of errors (n_draws, n_points, 3)."""
     squared = (error**2).sum(axis=2)
     return np.asarray(np.sqrt(squared.max(axis=1) if measure == "worst" else squared.mean(axis=1)))

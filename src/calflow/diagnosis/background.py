@@ -218,7 +218,6 @@ def beside_background(fitted: Fitted, basis: BackgroundBasis) -> Fitted:
 
 
 def _named_in(fitted: Fitted) -> list[str]:
-    """Return the inputs of which one of its causes, or its family, is a general smooth function."""
     return [name for cause in fitted.causes for name in cause.effect.named_in()]
 
 

@@ -85,7 +85,6 @@ class LeftOutBlock:
 
     @cached_property
     def error(self) -> np.ndarray:
-        """The whitened prediction errors (n_own,)."""
         return self.predicted(self.residual)
 
     def without(self, along: np.ndarray, value: np.ndarray) -> np.ndarray:

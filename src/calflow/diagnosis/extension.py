@@ -154,7 +154,6 @@ class FittedTrial(Trial[Cause]):
 
 
 def extend(start: Fitted, catalogue: Catalogue, search: Stepwise) -> FittedTrial:
-    """Return the model with the causes that it lacks, by a stepwise search with independent errors."""
     first = Linearisation.at(start, catalogue.effects).screened(search.rng)
     return search.best(FittedTrial(first, start, catalogue))
 

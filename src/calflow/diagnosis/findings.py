@@ -138,12 +138,10 @@ class Finding:
 
     @property
     def rivals(self) -> tuple[NamedCause, ...]:
-        """Causes that could explain the data instead, or that unexplained structure may be."""
         return tuple(map(NamedCause, self.rival_causes, self.rival_joints))
 
     @property
     def is_cause(self) -> bool:
-        """Whether it is a cause, or one of several, not a data fault or unexplained structure."""
         return self.status in ("named", "one_of")
 
     @property
@@ -204,7 +202,6 @@ class Finding:
 
     @property
     def name_probability(self) -> float:
-        """The probability of its name."""
         return self.family_probability if self.of_family else self.probability
 
     @property
@@ -266,16 +263,13 @@ class Finding:
 
     @property
     def of_angles(self) -> bool:
-        """Whether unexplained structure depends on joints' angles alone."""
         return len(self._joints(ITS_ANGLE)) == len(self.inputs)
 
     def _joints(self, of: str) -> list[str]:
-        """Return the numbers of the joints whose angle, or torque, is among the inputs."""
         return [number for name in self.inputs if (number := name.removeprefix(of)).isdigit() and number != name]
 
     @property
     def inputs_in_words(self) -> str:
-        """The inputs of unexplained structure, in words."""
         if self.of_angles:
             joints = self._joints(ITS_ANGLE)
             return f"the {'angle of joint' if len(joints) == 1 else 'angles of joints'} {listed(joints)}"
@@ -298,7 +292,6 @@ def _one_of(names: Sequence[str], most: int = 3) -> str:
 
 
 def _family_name(cause: NamedCause) -> str:
-    """Return the name of a cause's family with its place; empty where it has none."""
     family = cause_family(cause.cause)
     return f"{family} of joint {cause.joint}" if family and cause.joint else family
 

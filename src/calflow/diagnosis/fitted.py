@@ -116,7 +116,6 @@ class Fitted:
 
     @property
     def covariance(self) -> np.ndarray:
-        """Covariance of the estimate, smooth errors included, shape (n_parameters, n_parameters)."""
         return self._beside[0]
 
     @cached_property
@@ -130,14 +129,12 @@ class Fitted:
 
     @property
     def intraclass(self) -> float:
-        """Intraclass correlation of the errors of markers at one standstill."""
         if self.shared is not None:
             return self.shared
         return self.intraclass_likelihood.correlation if self.intraclass_likelihood else 0.0
 
     @property
     def beside(self) -> Regressors[Cause]:
-        """The model linearised without further effects, beside its background."""
         return self.alone.beside(self.background, self.problem.weight)
 
     @cached_property
@@ -153,7 +150,6 @@ class Fitted:
 
     @property
     def lacks_fit(self) -> bool:
-        """Whether a known noise leaves a significant lack of fit."""
         return self.noise.known and self.lack.p < SIGNIFICANT and self.lack.reduced_chi2 > 1
 
     @property
@@ -194,12 +190,10 @@ class Fitted:
 
     @property
     def causes(self) -> tuple[Cause, ...]:
-        """The causes found so far."""
         return self.model.causes
 
     @property
     def plain(self) -> tuple[Effect, ...]:
-        """The study's own effects."""
         return tuple(effect for effect in self.model.effects if not isinstance(effect, Cause))
 
     def own(self, cause: Cause) -> tuple[np.ndarray, np.ndarray]:

@@ -92,7 +92,6 @@ class _Form:
         return len(self.columns) + self.variations.shape[1]
 
     def regressors(self, rows: Rows, x: np.ndarray) -> np.ndarray:
-        """Return its regressors at some rows, then those of its form error, from those of all candidates there."""
         own = x[:, self.columns]
         return np.hstack([own, (own @ self.score.estimate)[:, None] * self.variations[rows]])
 

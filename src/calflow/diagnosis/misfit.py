@@ -44,7 +44,6 @@ class MisfitRegion:
 
     @property
     def where(self) -> str:
-        """The region in words."""
         if self.value:
             return f"{'the ' * self.is_of_measuring}{self.input} is {self.value}"
         is_joint = self.input[0] == "q" and self.input[1:].isdigit()
@@ -53,7 +52,6 @@ class MisfitRegion:
 
     @property
     def words(self) -> str:
-        """The region and its errors in words."""
         there, elsewhere = (f"{rounded(error)} {self.error_unit}" for error in (self.there, self.elsewhere))
         return f"largest where {self.where}: {there} against {elsewhere} elsewhere"
 
@@ -71,7 +69,6 @@ class _Input:
         return self.values.dtype == object
 
     def regions(self) -> Iterator[np.ndarray]:
-        """Yield the mask of rows in each region."""
         if self.is_label:
             yield from (self.values == value for value in dict.fromkeys(self.values))
             return
@@ -153,5 +150,4 @@ def _region(candidate: _Input, inside: np.ndarray, fitted: Fitted) -> MisfitRegi
 
 
 def _said(value: float | None) -> str:
-    """Return a value rounded as the ends of a range need."""
     return "" if value is None else f"{value:.0f}" if abs(value) >= 10 else f"{value:.2g}"

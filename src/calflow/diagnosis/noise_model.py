@@ -327,7 +327,6 @@ def _of_residuals(fitted: Fitted, setups: SetUps) -> ErrorSizes:
 
 
 def _indicators(number: np.ndarray) -> np.ndarray:
-    """Return the indicators (n, n_numbers) of numbers (n,)."""
     return np.asarray(np.unique(number) == number[:, None], dtype=float)
 
 

@@ -121,7 +121,6 @@ def curve(cause: Cause, values: np.ndarray, angle: np.ndarray) -> np.ndarray:
 
 
 def _is_curve(cause: Cause) -> bool:
-    """Whether a cause is a function of its joint's angle alone."""
     if not isinstance(cause.effect, JointError):
         return False
     state, row = State.symbols(cause.robot), Row.symbols(cause.robot)

@@ -44,7 +44,6 @@ class Catalogue:
 
     @cached_property
     def variants(self) -> dict[Place, int]:
-        """Number of forms of each place."""
         return dict(Counter((effect.id, part) for effect in self.effects for part in effect.parts))
 
     def untestable(self, cause: str) -> dict[str, str]:
@@ -111,7 +110,6 @@ class Score(Generic[H]):
 
     @property
     def cause(self) -> H:
-        """The candidate's cause."""
         return self.candidate.cause
 
 
@@ -177,7 +175,6 @@ class _Tested(Stack):
 
     @cached_property
     def degrees_of_freedom(self) -> np.ndarray:
-        """Number of directions that the data show, (n_members,)."""
         return np.asarray(np.count_nonzero(self.value, axis=1))
 
     @cached_property
@@ -242,7 +239,6 @@ class Screening(Generic[H]):
 
     @cached_property
     def variants(self) -> dict[Place, int]:
-        """Number of tested candidates of each place."""
         return dict(Counter(self._candidates[k].cause.place for k in self.some.tolist()))
 
     @cached_property
@@ -265,7 +261,6 @@ class Screening(Generic[H]):
 
     @cached_property
     def scores(self) -> list[Score[H]]:
-        """Every visible candidate's score, best first."""
         scores = []
         for stack in self._stacks:
             left = self.degrees_of_freedom - stack.degrees_of_freedom
@@ -359,7 +354,6 @@ class Screening(Generic[H]):
 
     @cached_property
     def chi2(self) -> float:
-        """Chi² of the swept model."""
         return self.whole.chi2 + float(self._sign @ self._way**2)
 
     @cached_property

@@ -107,7 +107,6 @@ class SerialErrors:
 
     @property
     def log_determinant(self) -> float:
-        """Log-determinant of V."""
         return float(2 * np.log(self._factor[0]).sum())
 
     def whitened(self, values: np.ndarray) -> np.ndarray:
@@ -137,11 +136,9 @@ class RestrictedLikelihood:
         return np.column_stack([self.design, self.residual])
 
     def variance(self, errors: SerialErrors | None) -> float:
-        """Return the maximum-likelihood variance of the errors."""
         return self._equations(errors).restricted_likelihood(self.degrees_of_freedom)[0]
 
     def cost(self, errors: SerialErrors | None) -> float:
-        """Return minus twice the restricted log-likelihood."""
         restricted = self._equations(errors).restricted_likelihood(self.degrees_of_freedom)[1]
         return restricted + (errors.log_determinant if errors else 0.0)
 

@@ -82,7 +82,6 @@ Kin = tuple[str, int]  # a family and the joint (0 for none) where its members a
 
 
 def kindred(causes: Sequence[H]) -> dict[Kin, list[H]]:
-    """Return the causes of each family at each joint, if there are several."""
     groups: dict[Kin, list[H]] = {}
     for cause in causes:
         if cause.family:

@@ -51,7 +51,6 @@ class Detection(Generic[H]):
 
     @property
     def p(self) -> float:
-        """Family-wise p-value of the cause."""
         return self.family.p(self.own)
 
 

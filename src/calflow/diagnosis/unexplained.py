@@ -341,12 +341,10 @@ class Standstills:
 
     @cached_property
     def variance(self) -> np.ndarray:
-        """The accepted variances (n_parts,)."""
         return self.components.accepted()
 
     @property
     def _first(self) -> int:
-        """The index of the first joint's part."""
         return len(self.variance) - self.of_axes - len(self.reach)
 
     @cached_property

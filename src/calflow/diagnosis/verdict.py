@@ -417,5 +417,4 @@ def deployed_model(extended: Fitted, verdicts: Sequence[Verdict]) -> Fitted | No
 
 
 def is_certain(verdict: Verdict, fitted: Fitted) -> bool:
-    """Whether a cause is named, and its amplitude differs significantly from zero, averaged over its forms."""
     return verdict.status == "named" and found_amplitude(verdict, fitted).differs_from_zero

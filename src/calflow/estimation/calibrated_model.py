@@ -172,12 +172,10 @@ class CalibratedModel:
 
     @property
     def noise_known(self) -> bool:
-        """Whether any series' noise is known independently of the fit."""
         return any(device.source != "estimated" for device in self.device)
 
     @property
     def unit(self) -> MeasurementUnit:
-        """The unit by which it is judged."""
         return judged_unit([observation.units[0] for observation in self.model.observations])
 
     def conditions_of(self, data: Measurements) -> np.ndarray:
@@ -280,7 +278,6 @@ class CalibratedModel:
         return self.model.point(self.estimate, conditions) + self.field_correction(conditions)
 
     def field_correction(self, conditions: np.ndarray) -> np.ndarray:
-        """Return the residual field's correction of positions, shape (n_rows, 3) [m]; zero without a field."""
         return self.field.correction(self._readings(conditions)) if self.field else np.zeros((conditions.shape[1], 3))
 
     def _beside_field(self, variance: np.ndarray, conditions: np.ndarray) -> np.ndarray:
@@ -288,7 +285,6 @@ class CalibratedModel:
         return self.field.left_of(variance, self._readings(conditions)) if self.field else variance
 
     def _readings(self, conditions: np.ndarray) -> np.ndarray:
-        """Return the joint readings (n_rows, n_joints) of packed conditions."""
         return np.asarray(conditions[: self.model.robot.n_joints].T)
 
     def rotation_variances(self, conditions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -356,11 +352,9 @@ class CalibratedModel:
         return ErrorsInUnit(error / root, whole + of_choice, left, basis.shape[2])
 
     def promised_distance(self, conditions: np.ndarray) -> np.ndarray:
-        """Return the predictive standard deviation of positions: root mean square distance, shape (n_rows,) [m]."""
         return np.asarray(np.sqrt(self.position_variance(conditions).sum(axis=1)))
 
     def distance_moved(self, conditions: np.ndarray) -> np.ndarray:
-        """Return the distance between nominal and calibrated prediction, shape (n_rows,) [m]."""
         moved = self.model.point(self.model.nominal, conditions) - self.expected_point(conditions)
         return np.asarray(np.linalg.norm(moved, axis=1))
 

@@ -47,7 +47,6 @@ class Difference:
 
     @property
     def sd(self) -> np.ndarray:
-        """Standard deviations of the differences (n,)."""
         return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
 
     @cached_property
@@ -89,7 +88,6 @@ def comparable(first: CalibratedModel, second: CalibratedModel) -> list[tuple[in
 
 
 def _by_joint(model: Model) -> dict[int, set[str]]:
-    """Return the names of all parameters of each joint, those held among them."""
     names = dict[int, set[str]]()
     for parameter in model.declared:
         names.setdefault(parameter.joint, set()).add(parameter.name)
@@ -126,7 +124,6 @@ class LikelihoodEstimate:
 
     @property
     def sd(self) -> np.ndarray:
-        """Marginal standard deviations (n,)."""
         return np.sqrt(np.diag(self.covariance))
 
     @property

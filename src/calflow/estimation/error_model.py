@@ -94,7 +94,6 @@ class ErrorModel:
         return tuple(dict.fromkeys(name for function in self.functions for name in function.inputs))
 
     def _of(self, keep: Callable[[SmoothFunction], bool]) -> np.ndarray:
-        """Return the mask (n_functions,) of some functions' amplitudes."""
         return np.array([keep(function) for function in self.functions for _ in function.declared], dtype=bool)
 
     def shared(self, slopes: np.ndarray, covariance: np.ndarray) -> np.ndarray:
@@ -229,7 +228,6 @@ def read_errors(table: pd.DataFrame, model: Model, kinds: Mapping[str, type[Smoo
 
 
 def _with(model: Model, functions: tuple[SmoothFunction, ...], estimate: np.ndarray) -> tuple[Model, np.ndarray]:
-    """Return a model with functions beside it, and its parameters."""
     beside = _beside(model, functions)
     return beside, np.append(estimate, beside.nominal[len(estimate) :])
 
@@ -327,7 +325,6 @@ class SmoothVariances:
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """The inputs of the parts with non-zero variance."""
         there = (inputs for (inputs, _), variance in zip(self.kinds, self.variance, strict=True) if variance > 0)
         return tuple(dict.fromkeys(chain.from_iterable(there)))
 
@@ -339,7 +336,6 @@ class SmoothVariances:
 
     @cached_property
     def part(self) -> np.ndarray:
-        """Index of each amplitude's part, (n_functions,)."""
         return np.array([k for k, _ in self.of_amplitude], dtype=int)
 
     @cached_property
@@ -354,7 +350,6 @@ class SmoothVariances:
 
     @cached_property
     def components(self) -> VarianceComponents:
-        """The restricted likelihood of the variances."""
         result, problem, model = self.result, self.result.problem, self.result.model
         floor = float(np.median((problem.sigma / problem.total) ** 2)) if self.known else 0.0
         n, none = len(result.estimate), np.zeros(len(self.part))
@@ -386,7 +381,6 @@ class SmoothVariances:
         return self._visible(self.components.expected(self.accepted))
 
     def drawn(self, number: int, rng: np.random.Generator) -> np.ndarray:
-        """Draw variances (number, n_parts) from the posterior of which `variance` is the mean."""
         return self._visible(self.components.drawn(self.accepted, number, rng))
 
     @property

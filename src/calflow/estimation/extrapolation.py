@@ -81,7 +81,6 @@ class Elsewhere(ActingEffect, SmoothFunction):
 
     @cached_property
     def same(self) -> OfJoints:
-        """The function within the ranges."""
         kinds = {kind.__name__: kind for kind in subclasses(OfJoints)}
         return kinds[self.kind].of_figures(self.robot, self.function)
 
@@ -169,7 +168,6 @@ class Undated(ActingEffect, SmoothFunction):
 
     @cached_property
     def _before(self) -> Cause:
-        """The same, which is still to come at any row."""
         return Cause(self.robot, replace(self._step, between=NEVER_YET), self.part)
 
     def acting(self, p: ca.SX, row: Row) -> tuple[Effect, ca.SX]:
@@ -249,7 +247,6 @@ class Curve:
 
     @classmethod
     def of(cls, cause: Cause, estimate: np.ndarray, covariance: np.ndarray) -> Self | None:
-        """Return a cause's curve; None without one."""
         travel = cause.effect.travel(cause.joint) if cause.joint else None
         if travel is None:
             return None
@@ -258,12 +255,10 @@ class Curve:
 
     @cached_property
     def weight(self) -> np.ndarray:
-        """Posterior probability of each of CANDIDATE_SIZES, (n_sizes,)."""
         return _size_weights(self.estimate, np.diag(self.covariance), self.usual)
 
     @property
     def rms_elsewhere(self) -> float:
-        """Root mean square of another curve of the same kind."""
         return self.usual_rms * float(np.sqrt(self.weight @ CANDIDATE_SIZES**2))
 
     @property

@@ -72,7 +72,6 @@ class FieldGain:
 
     @property
     def statement(self) -> str:
-        """The result in a sentence."""
         if not self.blocks:
             return f"residual field ({NOT_PHYSICAL}) not applied: {plural(self.poses, 'pose')} with positions, too few for it"
         before, after = (mean_rms_max(1e3 * each)[1] for each in (self.without, self.corrected))

@@ -65,7 +65,6 @@ class FittedEffects:
 
     @cached_property
     def known(self) -> CalibratedModel:
-        """The calibrated model, from which later stages start."""
         used, fitted = self.data.only(self.data.train | self.data.held_out), self.data.joints[self.data.train]
         return CalibratedModel(
             self.model, self.fit.estimate, self.fit.covariance, self.fit.at_bound, series_noise(self.noise, self.data),
@@ -76,7 +75,6 @@ class FittedEffects:
 
     @cached_property
     def summary(self) -> IdentifySummary:
-        """The figures of `identify/summary.json`."""
         fit, noise, data, out = self.fit, self.noise, self.data, self.left_out
         ranks = rank_by_effect(fit)
         used = data.only(data.train | data.held_out)

@@ -148,7 +148,6 @@ class NoiseDoubt:
 
     @property
     def statement(self) -> str:
-        """The contradiction in words."""
         where = (f" of {self.series}" if self.series else "") + (f" in session {self.session}" if self.session else "")
         where += f" for marker {self.marker}" if self.marker else ""
         way = "small" if self.shown > self.stated else "large"

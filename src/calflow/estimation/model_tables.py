@@ -248,7 +248,6 @@ def model_tables(stage: str, calibrated: CalibratedModel) -> dict[str, pd.DataFr
 
 
 def alternative_models(alternatives: Sequence[Alternative], model: Model) -> tuple[AlternativeModel, ...]:
-    """Return the alternatives to a model as its summary holds them."""
     return tuple(
         AlternativeModel(
             probability=other.probability, instead_of=model.causes.index(other.gone) + 1 if other.gone else 0,
@@ -338,7 +337,6 @@ def calibrated(robot: Robot, results: Results, given: tuple[str, ...]) -> Calibr
 
 
 def read_effects(rows: Sequence[ModelEffect], robot: Robot) -> tuple[Effect, ...]:
-    """Return the effects that rows name."""
     effects: list[Effect] = []
     for row in rows:
         whole = _kind(row.effect).of_figures(robot, row.variant)
@@ -347,7 +345,6 @@ def read_effects(rows: Sequence[ModelEffect], robot: Robot) -> tuple[Effect, ...
 
 
 def read_observations(rows: Sequence[ModelObservation]) -> tuple[Observation, ...]:
-    """Return the observations of an `observation_table`."""
     return tuple(adapter(observation_kinds()[row.kind]).validate_json(row.observation) for row in rows)
 
 

@@ -98,7 +98,6 @@ def to_state(model: Model) -> list[str]:
 
 
 def _columns(condition: str, robot: Robot) -> str:
-    """Return the names of a condition's columns in words, with their SI units."""
     dimensions = column_names(robot)
     names = condition_columns(condition, robot)
     if not set(names) <= set(dimensions):

@@ -57,7 +57,6 @@ class FittedParameter:
 
     @property
     def name(self) -> str:
-        """The parameter's name, unique in the model."""
         return self.parameter
 
     @property
@@ -67,12 +66,10 @@ class FittedParameter:
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """Lower and upper bound."""
         return self.lower, self.upper
 
     @property
     def prior(self) -> tuple[float, float]:
-        """Mean and standard deviation of its prior."""
         return self.prior_mean, self.prior_sd
 
     @staticmethod
@@ -89,7 +86,6 @@ class FittedParameter:
         )  # fmt: skip
 
     def as_parameter(self) -> Parameter:
-        """Return the model parameter that this row describes."""
         tag = self.parameter.removeprefix(f"{self.part}.").removesuffix(self.symbol).rstrip(".")
         return Parameter(
             self.effect, self.part, self.symbol, self.unit, self.prior_sd, self.lower, self.upper, self.nominal, self.figure,
@@ -129,7 +125,6 @@ class Parameters(Mapping[str, FittedParameter]):
 
     @classmethod
     def of_model(cls, model: Model) -> Self:
-        """Return a model's parameters before a fit."""
         return cls(tuple(map(FittedParameter.of, model.declared)), _by_name(model.robot))
 
     @classmethod

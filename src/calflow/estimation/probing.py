@@ -98,7 +98,6 @@ class Basis:
 
     @cached_property
     def first(self) -> np.ndarray:
-        """The index of each parameter's first slope."""
         return np.flatnonzero(np.diff(self.column, prepend=-1))
 
     @cached_property
@@ -156,7 +155,6 @@ class Probe:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Shape of the Jacobian, whose columns are the model's parameters, then those of the effects."""
         return self.problem.size, self.n_parameters + self.width
 
     def parts(self) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
@@ -180,7 +178,6 @@ class Probe:
                 yield rows, part.decorrelated(left.T).ravel(), part.decorrelated(slopes).reshape(-1, self.shape[1])
 
     def whole(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the decorrelated residuals (n,) and the Jacobian of all rows."""
         residual, matrix = np.empty(self.problem.size), np.empty(self.shape)
         for rows, left, slopes in self.parts():
             residual[rows], matrix[rows] = left, slopes
@@ -193,7 +190,6 @@ def probed(problem: LeastSquares, p: np.ndarray, effects: Sequence[Effect]) -> t
 
 
 def _foreign(effects: Sequence[Effect], device: str) -> np.ndarray:
-    """Return the columns of the effects that a device does not have."""
     return np.flatnonzero(
         np.repeat([not each.concerns(device) for each in effects], [len(each.declared) for each in effects])
     )
@@ -273,7 +269,6 @@ def _members(parts: Any) -> list[Any]:
 
 
 def stacked(parts: Any) -> ca.SX:
-    """Return all quantities of parts, stacked in one column."""
     return ca.densify(ca.vec(parts)) if isinstance(parts, ca.SX) else ca.vertcat(*map(stacked, _members(parts)))
 
 
@@ -291,7 +286,6 @@ def _change(after: Any, before: Any) -> ca.SX:
 
 
 def _unpacked(shape: Parts, column: ca.SX) -> Parts:
-    """Return parts of the same shape from a stacked column."""
     if isinstance(shape, ca.SX):
         return ca.reshape(column, *shape.shape)  # type: ignore[return-value]
     members = _members(shape)

@@ -47,12 +47,10 @@ class ResidualField:
 
     @cached_property
     def low(self) -> np.ndarray:
-        """Lowest reading of each joint (n_joints,) [rad or m]."""
         return np.asarray(self.nodes.min(axis=0))
 
     @cached_property
     def range(self) -> np.ndarray:
-        """Measured range of each joint (n_joints,) [rad or m]."""
         return np.asarray(np.maximum(np.ptp(self.nodes, axis=0), STILL))
 
     def correction(self, readings: np.ndarray) -> np.ndarray:

@@ -122,7 +122,6 @@ class JointField(JointError, OfJoints):
         return [Term(f"wave{k + 1}", self.unit(joint), SIZE, 1.0, value) for k, value in enumerate(waves)]
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
-        """Return the deflection of each joint by waves that all have in common."""
         joint, erring = ca.SX(still.joint), list(self.erring or range(self.robot.n_joints))
         joint[erring] = ca.reshape(p, p.numel() // len(erring), len(erring)).T @ self.waves(state.q)
         return replace(still, joint=joint)
@@ -390,7 +389,6 @@ def means(functions: Sequence[SmoothFunction]) -> list[SmoothFunction]:
 
 
 def is_mean(function: SmoothFunction) -> bool:
-    """Whether a function is such a mean or slope."""
     return isinstance(function, OfJoints) and not function.orders
 
 
@@ -417,7 +415,6 @@ def moved_together(problem: LeastSquares, estimate: np.ndarray) -> list[frozense
 
 
 def pairs_of(groups: Sequence[frozenset[int]]) -> list[tuple[int, int]]:
-    """Return all pairs of joints within a group."""
     return sorted({pair for group in groups for pair in combinations(sorted(group), 2)})
 
 
@@ -495,5 +492,4 @@ def turn_of_readings(robot: Robot) -> np.ndarray:
 
 
 def _phases(angles: ca.SX) -> ca.SX:
-    """Return cosines and sines (2, n) of angles (1, n)."""
     return ca.vertcat(ca.cos(angles), ca.sin(angles))

@@ -66,7 +66,6 @@ class NormalEquations:
         return replace(self, products=self.products[np.ix_(kept, kept)])
 
     def scaled(self, unit: np.ndarray) -> NormalEquations:
-        """Return those of the coefficients in other units (n,)."""
         unit = np.append(unit, 1.0)
         return replace(self, products=unit[:, None] * self.products * unit)
 
@@ -234,7 +233,6 @@ class VarianceComponents:
         return np.maximum(self._by_part(determined.sum(axis=1), posterior.here), 1.0)
 
     def _by_part(self, values: np.ndarray, here: np.ndarray) -> np.ndarray:
-        """Return the sums by part (n_parts,) of values (n,) of the functions with indices here."""
         return np.bincount(self.part[here], values, self.n_parts)
 
     def _beside(self, variance: np.ndarray, parts: Iterable[int]) -> dict[int, tuple[np.ndarray, np.ndarray, float]]:
@@ -266,7 +264,6 @@ class FunctionPosterior:
 
     @property
     def log_determinant(self) -> float:
-        """Log-determinant of I + their Gram matrix."""
         return 2 * float(np.log(self.factor.diagonal()).sum())
 
     @cached_property

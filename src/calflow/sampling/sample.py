@@ -122,8 +122,6 @@ def _lengthen(
 
 
 def _extend(chain: Chain, number: int, log_posterior: LogPosterior, start: np.ndarray, seed: int, steps: int) -> None:
-    """Extend an ensemble of a chain to a number of steps, if it has fewer."""
-
     def densities(u: np.ndarray) -> list[tuple[float, float, float]]:
         return list(zip(*log_posterior.densities(u), strict=True))
 
