@@ -667,33 +667,52 @@ def consecutive(widths: Iterable[int]) -> list[slice]:
 
 def over_rows(function: ca.Function, p: np.ndarray, *rows: np.ndarray) -> list[np.ndarray]:
     """Return a function (p, row, ...) -> dense outputs evaluated over rows, each (size, n_rows); outputs side by side."""
+    return at_rows(function, *rows)(p)
+
+
+def at_rows(function: ca.Function, *rows: np.ndarray) -> Callable[[np.ndarray], list[np.ndarray]]:
+    """Return p -> `over_rows` of the same rows, whose values last until the next p: to bind rows takes longer than a few of them.
+
+    Rows are evaluated in blocks of equal size, the last overlapping the one before.
+    """
     n_rows = rows[0].shape[1]
     values = [np.empty((n_rows, function.numel_out(k))) for k in range(function.n_out())]
-    if n_rows:
-        _evaluate(function, p, [np.ascontiguousarray(row.T) for row in rows], values)
-    return [value.reshape(n_rows * function.size2_out(k), function.size1_out(k)).T for k, value in enumerate(values)]
-
-
-def _evaluate(function: ca.Function, p: np.ndarray, rows: Sequence[np.ndarray], values: Sequence[np.ndarray]) -> None:
-    """Evaluate rows, each (n_rows, size), into values, alike, in blocks of equal size, the last overlapping the one before."""
-    n_rows = len(values[0])
-    per_row = max(map(function.numel_out, range(function.n_out())))
-    most = max(1, min(BLOCK_ROWS, BLOCK_VALUES // max(1, per_row)))
+    shown = [value.reshape(n_rows * function.size2_out(k), function.size1_out(k)).T for k, value in enumerate(values)]
+    if not n_rows:
+        return lambda p: shown
+    most = max(1, min(BLOCK_ROWS, BLOCK_VALUES // max(1, *map(function.numel_out, range(function.n_out())))))
     size = -(-n_rows // -(-n_rows // most))
-    every, mapped = np.tile(np.asarray(p, dtype=float), size), _mapped(function, size)
-    for start in [*range(0, n_rows - size, size), n_rows - size]:
-        part = slice(start, start + size)
-        fill(mapped, [every, *(row[part] for row in rows)], [value[part] for value in values])
+    every, mapped = np.empty((size, function.numel_in(0))), _mapped(function, size)
+    contiguous = [np.ascontiguousarray(row.T) for row in rows]
+    parts = [slice(start, start + size) for start in (*range(0, n_rows - size, size), n_rows - size)]
+    blocks = [
+        bound(mapped, [every, *(row[part] for row in contiguous)], [value[part] for value in values]) for part in parts
+    ]
+
+    def at(p: np.ndarray) -> list[np.ndarray]:
+        every[:] = p
+        for evaluate in blocks:
+            evaluate()
+        return shown
+
+    return at
 
 
-def fill(function: ca.Function, inputs: Sequence[np.ndarray], outputs: Sequence[np.ndarray]) -> None:
-    """Evaluate a function on NumPy arrays in place, without copies; arrays are contiguous, in CasADi's column-major order."""
+def bound(function: ca.Function, inputs: Sequence[np.ndarray], outputs: Sequence[np.ndarray]) -> Callable[[], None]:
+    """Return what evaluates a function on NumPy arrays in place, without copies.
+
+    Arrays are contiguous, in CasADi's column-major order.
+    """
     buffer, evaluate = function.buffer()
     for k, values in enumerate(inputs):
         buffer.set_arg(k, memoryview(values.reshape(-1)))  # type: ignore[call-arg, arg-type]
     for k, values in enumerate(outputs):
         buffer.set_res(k, memoryview(values.reshape(-1)))  # type: ignore[call-arg, arg-type]
-    evaluate()
+
+    def evaluated(kept: object = (buffer, inputs, outputs)) -> None:  # of which CasADi knows the addresses alone
+        evaluate()
+
+    return evaluated
 
 
 @lru_cache(maxsize=512)

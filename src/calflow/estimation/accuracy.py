@@ -154,7 +154,17 @@ def errors(
 def leading_errors(model: Model, estimate: np.ndarray, measured: Measurements) -> np.ndarray:
     """Return the errors as `errors` does, those of each row in the leading unit of its series."""
     model, estimate = completed(model, estimate, measured)
-    return _in_leading_units(model.observed_error, model, estimate, measured)
+    return _in_leading_units(model.observed_error, model, estimate, _observed_series(model, measured))
+
+
+def errors_of_draws(model: Model, draws: np.ndarray, measured: Measurements) -> np.ndarray:
+    """Return the `errors` of estimates (n_draws, n_parameters), shape (n_draws, n_rows, 3 or more); rows are looked up once."""
+    model = observing(model, measured)
+    if completed(model, draws[0], measured)[0] is not model:  # each draw places anew what no fitted row saw
+        return np.array([errors(model, draw, measured) for draw in draws])
+    every = _observed_series(model, measured)
+    values = [_in_leading_units(model.observed_error, model, draw, every) for draw in draws]
+    return _masked(np.stack(values, axis=1), measured).swapaxes(0, 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,13 +196,14 @@ def error_jacobian(
 ) -> np.ndarray:
     """Return the Jacobian of `errors`, shape (n_rows, 3 or more, n_parameters), zero where `errors` has nan."""
     model = observing(model, measured)
-    jacobian = _in_leading_units(model.observed_jacobian, model, estimate, measured)
+    jacobian = _in_leading_units(model.observed_jacobian, model, estimate, _observed_series(model, measured))
     return np.nan_to_num(_masked(jacobian, measured, unit))
 
 
-def _in_leading_units(values: Values, model: Model, estimate: np.ndarray, measured: Measurements) -> np.ndarray:
+def _in_leading_units(
+    values: Values, model: Model, estimate: np.ndarray, every: Sequence[_ObservedSeries]
+) -> np.ndarray:
     """Return values of all rows in their series' leading unit, along the measuring frame, (n_rows, 3 or more, …), else nan."""
-    every = _observed_series(model, measured)
     leading = [
         [k for k, unit in enumerate(seen.observation.units) if unit == seen.observation.units[0]] for seen in every
     ]

@@ -20,7 +20,7 @@ from calflow.estimation.fit import Fit
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import averaged
 from calflow.measurements.measurements import Measurements
-from calflow.model import compiled, over_rows
+from calflow.model import at_rows, compiled
 
 if TYPE_CHECKING:
     from emcee.moves import Move
@@ -226,22 +226,22 @@ def propose_student(u: np.ndarray, rng: np.random.RandomState) -> tuple[np.ndarr
     degrees = 2 * u.shape[1]
     mixing = rng.chisquare(degrees, size=(len(u), 1)) / degrees
     proposed = rng.standard_normal(u.shape) / np.sqrt(mixing)
-    student = scipy.stats.multivariate_t(shape=np.eye(u.shape[1]), df=degrees)
-    return proposed, student.logpdf(u) - student.logpdf(proposed)
+    fallen = np.log1p((proposed**2).sum(axis=1) / degrees) - np.log1p((u**2).sum(axis=1) / degrees)
+    return proposed, 0.5 * (degrees + u.shape[1]) * fallen
 
 
 def _sum_of_squares(problem: LeastSquares) -> Squares:
     """Return the function (n_parameters, n_walkers) -> sum of squared whitened, decorrelated residuals (n_walkers,)."""
-    rows = []
+    every = []
     for block in problem.blocks:
         inputs, residual = block.expression()
-        row = ca.Function("residual", inputs, [residual])
-        rows.append((block, compiled(row, EXPECTED_EVALUATIONS * len(block.rows))))
+        row = compiled(ca.Function("residual", inputs, [residual]), EXPECTED_EVALUATIONS * len(block.rows))
+        every.append((block, at_rows(row, *block.data)))
 
     def squares(values: np.ndarray) -> np.ndarray:
         found = np.zeros(values.shape[1])
-        for block, row in rows:
-            errors = (block.decorrelated(over_rows(row, point, *block.data)[0].T) for point in values.T)
+        for block, at in every:
+            errors = (block.decorrelated(at(point)[0].T) for point in values.T)
             found += [np.vdot(error, error) for error in errors]
         return found
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from calflow.estimation.accuracy import distances, errors, judged_unit
+from calflow.estimation.accuracy import distances, errors, errors_of_draws, judged_unit
 from calflow.estimation.calibrated_model import CalibratedModel, Quantity, offsets
 from calflow.estimation.parameters import UNIT
 from calflow.estimation.progress import Draws
@@ -185,7 +185,7 @@ def predictive_table(posterior: Posterior, rng: np.random.Generator) -> pd.DataF
     lengths = 1.0 if unit == METRE else np.nan
     calibrated, (values, acts) = posterior.calibrated, posterior.drawn(DRAWS_KEPT, rng)
     by_choice = shifts(calibrated, acts, lambda model, estimate: errors(model, estimate, data))
-    by_parameters = np.array([errors(calibrated.model, draw, data) for draw in values[:, :-1]])
+    by_parameters = errors_of_draws(calibrated.model, values[:, :-1], data)
     centre = (by_parameters + by_choice).mean(axis=0)
     deviation = by_parameters + by_choice - centre
     covariance = np.einsum("dri,drj->rij", deviation, deviation) / max(len(deviation) - 1, 1)
