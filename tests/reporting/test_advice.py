@@ -123,8 +123,12 @@ def of_parts(**parts: str) -> pd.DataFrame:
 
 
 TURN_AND_PLACE = pd.concat(
-    [parameter_table(parameter="joint6.theta", part="joint6", unit="rad"), of_parts(E_x="E")]
-)  # what one marker cannot tell apart
+    [
+        parameter_table(parameter="joint6.theta", part="joint6", unit="rad"),
+        parameter_table(parameter="joint2.phi3x", effect="gravity-deflection", part="joint2", unit="rad"),
+        of_parts(E_x="E", **{f"joint{k}_d": f"joint{k}" for k in range(1, 6)}),
+    ]
+)  # what one marker cannot tell apart, and what has no place of its own
 
 
 def placement(*markers: str) -> pd.DataFrame:
@@ -537,6 +541,10 @@ def test_every_rule_is_tested() -> None:
                                          "identify/placement.csv": placement("A", "B"),
                                          "identify/parameters.csv": of_parts(joint6_d="joint6", A_z="A", B_z="B")}),
         (ranked.second_marker, {"identify/identifiability.csv": statements(("trade", "joint6.d;joint5.a"))}),
+        (ranked.second_marker,  # a deflection, which turns with the load; and too many to be told apart
+         {"identify/identifiability.csv": statements(
+             ("trade", "joint2.phi3x;E.x"), ("trade", "joint6.theta;E.x;joint1.d;joint2.d;joint3.d")),
+          "identify/parameters.csv": TURN_AND_PLACE}),
         (ranked.second_marker, {"identify/identifiability.csv": statements(("trade", "joint6.d;E.z")),  # of one sum
                                          "identify/parameters.csv": of_parts(joint6_d="joint6", E_z="E")}),
         (ranked.second_marker, {"identify/identifiability.csv": statements(("trade", "joint6.theta;E.x")),

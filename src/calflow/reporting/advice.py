@@ -67,6 +67,7 @@ TOLD = 4  # faults on the first page, those with most rows first
 LOAD_DRIVEN = ("rad/Nm", "m/N")  # units of parameters that only a load reveals
 ISOLABILITY_TABLE = "select/isolability.csv"
 GAPS_ADVISED = 3  # gaps on the first page
+MOST_TRADED = 4  # parameters of a trade that are named
 ENSEMBLES_AGREE = 1.01  # R-hat up to which ensembles agree
 SUGGESTIVE = 0.05  # p-value below which a cause that was not accepted is worth a look
 REPEATS, REACHING = 10, 4  # poses that determine the noise, and those that fill the end of a joint's range
@@ -545,8 +546,9 @@ def second_marker(outcome: RunOutcome) -> Iterator[Advice]:
         return
     marker = markers[0]
     places = {row.parameter for row in outcome.identified_parameters if row.part == marker}
-    turns = {row.parameter for row in outcome.identified_parameters if row.unit == RADIAN.symbol}
-    trades = [set(trade.parameters) for trade in of_kind(outcome, "trade")]
+    own = [row for row in outcome.identified_parameters if row.effect == Geometry.id]
+    turns = {row.parameter for row in own if row.unit == RADIAN.symbol}
+    trades = [set(trade.parameters) for trade in few_traded(outcome)]
     angles = {name for trade in trades if places & trade for name in trade & turns}
     if angles:
         sentence = (
@@ -574,6 +576,11 @@ def unseen_compliance(outcome: RunOutcome) -> Iterator[Advice]:
 
 def of_kind(outcome: RunOutcome, kind: str) -> list[Statement]:
     return [statement for statement in outcome.statements if statement.kind == kind]
+
+
+def few_traded(outcome: RunOutcome) -> list[Statement]:
+    """Return the trades of so few parameters that each can be named, and separated from the others."""
+    return [trade for trade in of_kind(outcome, "trade") if len(trade.parameters) <= MOST_TRADED]
 
 
 def spoken(names: Sequence[str], outcome: RunOutcome, most: int = 4) -> str:

@@ -18,7 +18,7 @@ from calflow.estimation.certainty import PROMISED, SURPRISE, Certainty
 from calflow.estimation.identifiability import Statement
 from calflow.files.deferred import pd
 from calflow.files.words import chance, effect_words, first_up, listed, mm, number, percent, plural, plural_word
-from calflow.reporting.advice import BY_PRIOR, WRONG, advice, of_kind, size_is_assumed, spoken
+from calflow.reporting.advice import BY_PRIOR, WRONG, advice, few_traded, of_kind, size_is_assumed, spoken
 from calflow.reporting.blocks import (
     Block,
     Bullets,
@@ -72,7 +72,6 @@ CORRECTED = (
 )
 TRADES = 3  # trades on the first page
 RIVALS = 2  # rivals of a finding named on the first page
-PARAMETERS_NAMED = 4  # parameters of a trade that the first page names
 WHAT_FOLLOWS = (
     "The pages before this one have the result. The following are for whoever checks, continues or repeats the calibration: the "
     "error left at each pose, the search for causes, every parameter, and how certain all of that is."
@@ -367,7 +366,7 @@ def open_questions(outcome: RunOutcome) -> list[str]:
 
 def _trade_sentences(trades: Sequence[Statement], outcome: RunOutcome) -> Iterator[str]:
     """Yield sentences on parameters that cannot be separated, the shorter combinations by name."""
-    named = [trade for trade in trades if len(trade.parameters) <= PARAMETERS_NAMED][:TRADES]
+    named = few_traded(outcome)[:TRADES]
     for first, *rest in (trade.parameters for trade in named):
         yield f"{first_up(spoken([first], outcome))} cannot be separated from {spoken(rest, outcome)}."
     if further := len(trades) - len(named):
