@@ -116,7 +116,8 @@ def test_several_orders_of_a_joint_are_one_finding_of_their_family():
     assert row.rivals == (NamedCause("joint-eccentricity", 2), NamedCause("joint-compliance", 2))
     assert (row.estimate, row.p_family) == (pytest.approx(3e-4 * np.sqrt(5)), 1e-4)
     assert row.statement.startswith("transmission error of joint 2: periodic error (order 5), and ")
-    assert row.detail.startswith("order 5, with ")
+    assert row.detail.startswith("order 5, with eccentricity")
+    assert _together([first, second, second], [one, two, two]).detail == "order 5, with 2 more"
     other = one.cause, two.cause, replace(one.cause, part="joint3")
     assert _kept_together(other) == [[0, 1], [2]]
     assert _kept_together([other[2], *other[:2]]) == [[0], [1, 2]]

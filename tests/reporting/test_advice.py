@@ -561,6 +561,11 @@ def test_every_rule_is_tested() -> None:
         (usability.makes_it_worse, {"diagnose/accuracy.csv": accuracies(holdout=None)}),
         (ranked.other_means, {"diagnose/findings.csv": found("named"), "diagnose/separations.csv": separations(0.0, "b")}),
         (ranked.other_means, {"diagnose/findings.csv": found("one_of"), "diagnose/separations.csv": separations(0.9)}),
+        (ranked.untested, {"diagnose/findings.csv": found("unexplained"),  # asked for already, to tell rivals apart
+                           "diagnose/separations.csv": separations(0.0, "a"),
+                           "diagnose/candidates.csv": to_frame([CandidateRow(cause="joint-hysteresis", joint=2,
+                                                                             lacking="a", asked=("time",))],
+                                                               CandidateRow)}),
         (ranked.untested, {"diagnose/findings.csv": found("unexplained"),
                            "diagnose/candidates.csv": to_frame([CandidateRow(cause="frame-drift", imitated=True)],
                                                                CandidateRow)}),

@@ -190,11 +190,12 @@ def test_a_lack_of_fit_is_the_first_thing_said(small: Context) -> None:
 
 
 def test_a_cause_without_gain_is_not_credited(small: Context, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Fails if what gains nothing stands among what explains the error, or a larger gain hides behind a smaller one."""
+    """Fails if what gains nothing stands among what explains the error, or a loss or a larger gain hides behind another."""
     vain = replace(STEP, gain=(0.03, -0.01, 0.07))
     small_gain = replace(BACKLASH, gain=(0.01, 0.005, 0.015))
     large = Found("named", "gear-ratio-error", 3, 1e-4, 1e-6, "1", gain=(0.2, 0.1, 0.3))
-    results = with_diagnosis(small, vain, small_gain, large).results
+    loss = Found("named", "joint-eccentricity", 1, 1e-4, 1e-6, "rad", gain=(-0.02, -0.03, -0.01))
+    results = with_diagnosis(small, vain, small_gain, large, loss).results
     assert lacked(RunOutcome(results)) == [
         ("Gear ratio error of joint 3:", "100.0 ± 1.0 µrad/rad; it takes 0.200 mm off the mean error."),
         ("Backlash of joint 2:", "100.0 ± 4.0 µrad; it takes 0.010 mm off the mean error."),
@@ -202,6 +203,7 @@ def test_a_cause_without_gain_is_not_credited(small: Context, monkeypatch: pytes
             "In the model, without a gain at held-out poses:",
             "step of the measuring device (after row 12 in measuring order).",
         ),
+        ("In the model, with a loss at held-out poses:", "eccentricity of joint 1 (0.020 mm)."),
     ]
     monkeypatch.setattr("calflow.reporting.sections.verdict.CAUSES_LISTED", 1)
     assert lacked(RunOutcome(results))[:2] == [

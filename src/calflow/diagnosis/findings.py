@@ -384,7 +384,7 @@ def _together(rows: Sequence[Finding], verdicts: Sequence[Verdict]) -> Finding:
         probability=min(row.probability for row in rows),
         family_probability=max(row.family_probability for row in rows),
         cannot_tell_from=tuple(name for name in alike if name != lead.cause),
-        detail=", with ".join([lead.detail or causes[0].title, *names[1:]]),
+        detail=f"{lead.detail or causes[0].title}, with {names[1] if len(names) == 2 else f'{len(names) - 1} more'}",
         statement=f"{causes[0].effect.family}{_where(causes[0])}: {', and '.join(names)}{doubts}",
         **Finding.of_rivals([*dict.fromkeys(rivals)]),
         not_tested=tuple(dict.fromkeys(name for row in rows for name in row.not_tested)),

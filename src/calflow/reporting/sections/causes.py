@@ -278,6 +278,7 @@ def _what(finding: Finding) -> str:
         family = cause_family(finding.cause)
         turned = f"Joint {finding.joint} is off by an amount that depends on {FORMS_OF_ONE[family]}"
         off = turned if finding.joint else GIVES_WAY if family == OF_THE_TOOL else WANDERED
+        off += f" ({finding.statement})" if len(finding.numbers) > 2 else ""
         return f"{off}; best described as {best}: {size}."
     title = first_up(words.what or words.name)
     return f"{title}: {size} (1 sd)." if size and "±" in size else f"{title}{f': {size}' if size else ''}."

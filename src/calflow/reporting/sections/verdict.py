@@ -287,13 +287,16 @@ def lacked(outcome: RunOutcome) -> list[str | tuple[str, str]]:
     suspected = [name for cause, name in every if cause.is_suspicion]
     worth = [pair for pair in named if not _gains_nothing(pair[0])]
     worth.sort(key=lambda pair: -np.nan_to_num(pair[0].gain[0]))  # a gain that is not known is none
-    without_gain = [name for cause, name in named if _gains_nothing(cause)]
+    without_gain = [name for cause, name in named if _gains_nothing(cause) and not cause.gain[2] < 0]
+    losing = [f"{name} ({mm(-cause.gain[0])} {cause.error_unit})" for cause, name in named if cause.gain[2] < 0]
     items: list[str | tuple[str, str]] = [(f"{first_up(name)}:", _line(cause)) for cause, name in worth[:CAUSES_LISTED]]
     if further := worth[CAUSES_LISTED:]:
         rest = listed(list(dict.fromkeys(cause.name for cause, _ in further)), len(further))
         items.append((f"And {plural(len(further), 'more cause')}:", f"{rest}."))
     if without_gain:
         items.append(("In the model, without a gain at held-out poses:", f"{listed(without_gain, 2)}."))
+    if losing:
+        items.append(("In the model, with a loss at held-out poses:", f"{listed(losing, 2)}."))
     if suspected:
         items.append(("Suspected, and left out of the model:", f"{listed(suspected, 3)}."))
     if summary.capped:
