@@ -312,7 +312,9 @@ def untested(outcome: RunOutcome) -> Iterator[Advice]:
     rows = [row for row in outcome.candidates if row.lacking]
     names = untestable(rows)
     needs = {row.lacking: [NEEDS[need] for need in row.asked] for row in rows}
-    rivals = {row.rival for row in outcome.separations if row.chance_after < ENOUGH}  # `other_means` asks for what tests these
+    rivals = {
+        row.rival for row in outcome.separations if row.chance_after < ENOUGH
+    }  # `other_means` asks for what tests these
     asked = {row.lacking for row in rows if row.cause in rivals}
     worth = [lacking for lacking in names if needs[lacking] and lacking not in asked]
     if not worth or not (outcome.unexplained or outcome.lack_of_fit_words):
