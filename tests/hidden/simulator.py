@@ -218,6 +218,8 @@ def shifted(x: Any = 0.0, y: Any = 0.0, z: Any = 0.0) -> Array:
 
 def tilted(angles: Array) -> Array:
     """Rotations about x, y and z in turn, (..., 4, 4)."""
+    if not angles.any():  # as most bearings and tips have none: a quarter of the time
+        return np.broadcast_to(np.eye(4), (*angles.shape[:-1], 4, 4))
     x, y, z = np.moveaxis(angles, -1, 0)
     return turned(0, x) @ turned(1, y) @ turned(2, z)
 
