@@ -602,27 +602,56 @@ def load_study(path: str | Path) -> Study:
     """Return the study of a file, with the robot and workflow that it names; measurements are read when needed.
 
     Raises:
-        InputError: with all problems of these files.
+        InputError: with all problems of these files, and of its measurements.
     """
     path = study_path(Path(path))
+    try:
+        return load_settings(path)
+    except InputError as error:
+        measured = problems_of(partial(_check_measured, path))
+        raise InputError(dict.fromkeys((*error.problems, *measured))) from None
+
+
+def load_settings(path: Path) -> Study:
+    """Return the study of a file, whatever its measurements are: those of a type's robots are others.
+
+    Raises:
+        InputError: with all problems of the file, and of the robot and workflow that it names.
+    """
     raw, origin = _parsed(path)
-    sound = sound_part(raw, StudyFile, {"name": "study", "seed": 0, "effects": ["geometry"]})
+    sound = _sound(raw)
     try:
         file, named = run_checks(
             lambda: validate_table(raw, StudyFile, origin), lambda: _named_files(sound, path) if sound else None
         )
     except InputError as error:
-        hidden = (partial(_check_stages, sound, path), partial(_check_located, sound, path)) if sound else ()
-        further = problems_of(*hidden)
+        further = problems_of(partial(_check_stages, sound, path)) if sound else ()
         raise InputError(dict.fromkeys((*error.problems, *further))) from None
-    (robot, robot_path), (workflow, workflow_path) = named
-    study = Study(path, file, workflow, workflow_path, robot, robot_path)
-    if wrong := problems_of(study.check_stages):
-        measured = file.sources and not study.to_fetch
-        raise InputError((*wrong, *(problems_of(study.measurements) if measured else ())))
+    study = _study(path, file, named)
+    study.check_stages()
     if file.parameters and not file.sources:
         check_stated_parameters(study, build(study.robot, file.effects))
     return study
+
+
+def _sound(raw: dict[str, Any]) -> StudyFile | None:
+    return sound_part(raw, StudyFile, {"name": "study", "seed": 0, "effects": ["geometry"]})
+
+
+def _study(path: Path, file: StudyFile, named: tuple[tuple[Robot, Path], tuple[WorkflowFile, Path]]) -> Study:
+    robot, workflow = named
+    return Study(path, file, *workflow, *robot)
+
+
+def _check_measured(path: Path) -> None:
+    """Check that the measurement files of a study that is refused are there and, if all it names can be read, what is in them."""
+    raw, origin = _parsed(path)
+    if sound := _sound(raw):
+        _check_located(sound, path)
+    file = validate_table(raw, StudyFile, origin)
+    study = _study(path, file, _named_files(file, path))
+    if file.sources and not study.to_fetch:
+        study.measurements()
 
 
 def _named_files(file: StudyFile, path: Path) -> tuple[tuple[Robot, Path], tuple[WorkflowFile, Path]]:

@@ -82,10 +82,12 @@ def test_types_and_their_studies_are_checked_before_any_robot(plant):
     with plant.file.open("a", encoding="utf-8") as file:
         file.write('[types.other]\nstudy = "no.toml"\n[robots.X]\ntype = "smal"\n[robots.Y]\ntype = "other"\n')
     study = plant / "type" / "study.toml"
-    study.write_text(study.read_text(encoding="utf-8").replace("seed = 7", "sed = 7"), encoding="utf-8")
+    wrong = study.read_text(encoding="utf-8").replace("seed = 7", "sed = 7").replace('"robot.toml"', '"robt.toml"')
+    study.write_text(wrong, encoding="utf-8")
     assert refused(plant) == [
         "type/study.toml: missing: expected 'seed'",
         "type/study.toml:4: sed: unknown key, did you mean 'seed'?",
+        "type/robt.toml: no such file, did you mean 'robot.toml'?",
         f"plant.toml:9: types.other.study: there is no file {plant / 'no.toml'}".replace(f"{plant.path}/", ""),
         "plant.toml:11: robots.X.type: unknown type 'smal'; there are small, other, did you mean 'small'?",
         "plant.toml:12: robots.Y: missing: expected 'data', here or in [types.other]",

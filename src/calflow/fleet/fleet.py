@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -11,15 +12,14 @@ from typing import Any
 
 import tomli_w
 
-from calflow.files.problems import Problem, nearest, refuse_any, run_checks
+from calflow.files.problems import InputError, Problem, nearest, refuse_any, run_checks
 from calflow.files.toml import Origin, parse_toml, read_toml
 from calflow.files.writing import write_whole
 from calflow.fleet.fleet_file import FleetFile, TypeTable, beyond_reach, named_file, robots_of
-from calflow.robot.formats import robot_file
 from calflow.robot.robot import Robot
 from calflow.run_folder import beside
 from calflow.runs.planning import stages_of
-from calflow.study import Study, StudyFile, check_effects, check_name, load_study, study_path
+from calflow.study import Study, check_effects, check_name, load_settings, study_path
 
 NEEDED = "identify"  # the stage that a study of a fleet must contain
 FOUND_BY = {"file", "url", "sha256"}  # keys that identify a measurement file
@@ -55,7 +55,7 @@ def robot_type(name: str, table: TypeTable, origin: Origin, folders: Sequence[Pa
         for path in _study_files(at) if key == "study" else _robot_files(at):
             if wrong_path := beyond_reach(path, folders):
                 raise origin.refuse(wrong_path, "types", name, key)
-    study = load_study(keys["study"])
+    study = load_settings(study_path(keys["study"]))
     if "robot" in keys:
         study = replace(study, robot=study.file.on(Robot.from_toml(keys["robot"])), robot_path=keys["robot"])
         check_effects(study.file.effects, study.robot, study.robot_path)
@@ -67,19 +67,29 @@ def robot_type(name: str, table: TypeTable, origin: Origin, folders: Sequence[Pa
 
 
 def _study_files(study: Path) -> Iterator[Path]:
-    """Yield the files read with a study, each before the files that it names."""
+    """Yield the files read with a study, each before the files that it names; one that cannot be read names none."""
     path = study_path(study)
     yield path
-    file = read_toml(path, StudyFile)
-    if file.workflow.endswith(".toml"):
-        yield path.parent / file.workflow
-    yield from _robot_files(path.parent / file.robot)
+    raw = _content(path)
+    if str(raw.get("workflow")).endswith(".toml"):
+        yield path.parent / str(raw["workflow"])
+    if "robot" in raw:
+        yield from _robot_files(path.parent / str(raw["robot"]))
 
 
 def _robot_files(robot: Path) -> Iterator[Path]:
     """Yield a robot file and then the URDF that it names, each before it is read."""
     yield robot
-    yield from robot_file.files(robot)[1:]
+    urdf = _content(robot).get("urdf")
+    if isinstance(urdf, dict) and "file" in urdf:
+        yield robot.parent / str(urdf["file"])
+
+
+def _content(path: Path) -> dict[str, Any]:
+    """Return what a TOML file says; nothing where it cannot be read, which is told where it is loaded."""
+    with suppress(InputError):
+        return parse_toml(path)[0]
+    return {}
 
 
 def _unsuitable(study: Study) -> Iterator[str]:
