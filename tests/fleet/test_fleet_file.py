@@ -39,11 +39,14 @@ def test_a_robot_that_is_named_has_files_of_its_own(plant):
 
 
 def test_a_plan_tells_whose_rows_are_at_fault(plant):
-    """Fails if a misspelt column is found out in the night only."""
-    rows = plant.measurements(ROBOTS[1])
-    rows.write_text(rows.read_text(encoding="utf-8").replace("y_mm", "y_mmm", 1), encoding="utf-8")
-    failing = [line.split()[0] for line in plant.fleet("plan").out.splitlines() if "would fail: " in line]
-    assert failing == [ROBOTS[1]]
+    """Fails if a misspelt column is found out in the night only, or told in full of each robot that has it."""
+    for name in ROBOTS[1:]:
+        rows = plant.measurements(name)
+        rows.write_text(rows.read_text(encoding="utf-8").replace("y_mm", "y_mmm", 1), encoding="utf-8")
+    first, *failing = [line for line in plant.fleet("plan").out.splitlines() if "would fail: " in line]
+    assert first.startswith(ROBOTS[1])
+    assert "unknown column 'y_mmm'" in first
+    assert [line.split() for line in failing] == [[name, "small", "would", "fail:", "as", ROBOTS[1]] for name in ROBOTS[2:]]
 
 
 @pytest.mark.parametrize(

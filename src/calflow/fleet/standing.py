@@ -142,8 +142,9 @@ def planned(fleet: Fleet, folder: FleetFolder) -> Iterator[str]:
     """Yield one line per robot on what a run would do; writes each robot's study, for `calflow check` and others."""
     width = max(len(robot.name) for robot in fleet.robots)
     wide = max(len(type.name) for type in fleet.types)
+    told: dict[object, str] = {}
     for robot in fleet.robots:
-        yield f"{robot.name:{width}}  {robot.type.name:{wide}}  {_planned_words(robot, folder)}"
+        yield f"{robot.name:{width}}  {robot.type.name:{wide}}  {_planned_words(robot, folder, told)}"
 
 
 def steps_of(robot: FleetRobot, folder: FleetFolder) -> list[PlannedStage]:
@@ -156,14 +157,17 @@ def steps_of(robot: FleetRobot, folder: FleetFolder) -> list[PlannedStage]:
     return plan(load_study(folder.study(robot.name)), folder.run(robot.name))
 
 
-def _planned_words(robot: FleetRobot, folder: FleetFolder) -> str:
+def _planned_words(robot: FleetRobot, folder: FleetFolder, told: dict[object, str]) -> str:
+    """Return what a run would do; told has the robots whose failure was stated in full, by what is wrong in their files."""
     try:
         planned_steps = steps_of(robot, folder)
         again = [step for step in planned_steps if not step.reuse]
         if again:
             load_study(folder.study(robot.name)).measurements()  # reports faulty rows before a long run
     except InputError as error:
-        return f"would fail: {failure_reason(error, robot.home)}"
+        wrong = tuple((problem.line, problem.key, problem.message) for problem in error.problems)
+        first = told.setdefault(wrong, robot.name)
+        return f"would fail: {failure_reason(error, robot.home) if first == robot.name else f'as {first}'}"
     if not again:
         return f"reuse  {planned_steps[0].reason}"
     return f"run    {', '.join(step.stage.name for step in again)}: {again[0].reason}"

@@ -22,6 +22,7 @@ SPREAD_ROUNDS = 400
 SPREAD_SETTLED = 1e-3  # largest relative change of a spread at convergence
 NARROWEST = 1e-4  # least spread, in standard deviations of the prior
 COVERED = 0.975
+DIGITS = 6  # of what is stated of a further robot
 FREE = 1e3  # variance, in those of the prior, of a parameter that deviates from the type
 
 
@@ -59,9 +60,14 @@ class TypePrior:
         """Return mean and standard deviation of a further robot's parameters, in their own units."""
         return tuple(
             Expected(parameter.effect, parameter.part, parameter.symbol, parameter.unit,
-                     float(np.clip(mean * parameter.prior_sd, parameter.lower, parameter.upper)), float(sd * parameter.prior_sd))
+                     min(max(_stated(mean * parameter.prior_sd), parameter.lower), parameter.upper), _stated(sd * parameter.prior_sd))
             for parameter, mean, sd in zip(self.parameters, self.mean, self.sd, strict=True)
         )  # fmt: skip
+
+
+def _stated(value: float) -> float:
+    """Return a figure in the digits that robots of a type can tell."""
+    return float(f"{value:.{DIGITS}g}")
 
 
 def type_prior(
