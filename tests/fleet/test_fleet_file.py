@@ -46,7 +46,9 @@ def test_a_plan_tells_whose_rows_are_at_fault(plant):
     first, *failing = [line for line in plant.fleet("plan").out.splitlines() if "would fail: " in line]
     assert first.startswith(ROBOTS[1])
     assert "unknown column 'y_mmm'" in first
-    assert [line.split() for line in failing] == [[name, "small", "would", "fail:", "as", ROBOTS[1]] for name in ROBOTS[2:]]
+    assert [line.split() for line in failing] == [
+        [name, "small", "would", "fail:", "as", ROBOTS[1]] for name in ROBOTS[2:]
+    ]
 
 
 @pytest.mark.parametrize(

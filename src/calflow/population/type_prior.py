@@ -59,9 +59,11 @@ class TypePrior:
     def expected(self) -> tuple[Expected, ...]:
         """Return mean and standard deviation of a further robot's parameters, in their own units."""
         return tuple(
-            Expected(parameter.effect, parameter.part, parameter.symbol, parameter.unit,
-                     min(max(_stated(mean * parameter.prior_sd), parameter.lower), parameter.upper), _stated(sd * parameter.prior_sd))
-            for parameter, mean, sd in zip(self.parameters, self.mean, self.sd, strict=True)
+            Expected(
+                own.effect, own.part, own.symbol, own.unit,
+                min(max(_stated(mean * own.prior_sd), own.lower), own.upper), _stated(sd * own.prior_sd),
+            )
+            for own, mean, sd in zip(self.parameters, self.mean, self.sd, strict=True)
         )  # fmt: skip
 
 
