@@ -665,6 +665,14 @@ def consecutive(widths: Iterable[int]) -> list[slice]:
     return [slice(start, end) for start, end in pairwise(accumulate(widths, initial=0))]
 
 
+def side_by_side(numbers: np.ndarray) -> np.ndarray | slice:
+    """Return increasing indices (n,) as a slice where they are consecutive, so that NumPy indexes without a copy."""
+    if not len(numbers):
+        return numbers
+    first, last = int(numbers[0]), int(numbers[-1])
+    return slice(first, last + 1) if last - first == len(numbers) - 1 else numbers
+
+
 def over_rows(function: ca.Function, p: np.ndarray, *rows: np.ndarray) -> list[np.ndarray]:
     """Return a function (p, row, ...) -> dense outputs evaluated over rows, each (size, n_rows); outputs side by side."""
     return at_rows(function, *rows)(p)

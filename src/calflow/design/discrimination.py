@@ -230,13 +230,9 @@ def _asked(
 
 
 def discrimination(fitted: Fitted, scores: Sequence[Score], choices: Measurements, planned: Planned) -> Discrimination:
-    """Return the discrimination of the explanations of a finding by further poses.
+    """Return the discrimination of the explanations of a finding by further poses, measured as planned.
 
-    Args:
-        fitted: the fitted model.
-        scores: of the causes in the finding's place, with costs relative to the finding's; the first cause is in the model.
-        choices: the poses to choose from.
-        planned: how a further pose will be measured.
+    scores are of causes in its place, with costs relative to the finding's, whose own cause, in the model, comes first.
     """
     model, fit = fitted.model, fitted.fit
     # The cost of parameters and variants, up to a constant of the finding.

@@ -134,16 +134,9 @@ def task_error(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return posterior draws (n_draws,) [m] of the calibrated tool's true error over the task: root mean square or worst point.
 
-    The second are the same with all parameters known, which no further measurement of this kind reduces. A tool point that
-    the data do not determine, as with images, must be taught: errors that teaching removes do not count.
-
-    Args:
-        fitted: the calibrated model.
-        causes: those that it may lack, of which one or none is there.
-        rivals: alternatives for each cause that was found, of which one or none is true.
-        at_task: the task.
-        measure: of the task's errors.
-        rng: random numbers.
+    The second are the same with all parameters known, which no further measurement of this kind reduces. A tool point that the
+    data do not determine, as with images, must be taught: errors that teaching removes do not count. Of causes that the model may
+    lack, and of the rivals of each one found, one or none is there.
     """
     likely = np.array([cause.probability for cause in causes])
     drawn = rng.choice(len(causes) + 1, TASK_DRAWS, p=[*likely, 1 - likely.sum()])

@@ -230,10 +230,10 @@ def curves(final: Fitted, causes: Sequence[Cause], data: Measurements) -> pd.Dat
 
 
 def _acting_along(jacobian: np.ndarray, value: np.ndarray, lever: np.ndarray | None) -> np.ndarray:
-    """Return the unit vectors (n_rows, 3) along which a cause acts.
+    """Return the unit vectors (n_rows, 3) along which a cause acts: the principal axes of its rows, with one common side.
 
     If all its parameters move the tool as its joint does, they are along the joint's lever (n_rows, 3), whose sign does not follow
-    the effect, as else every error would look positive. Otherwise they are the principal axis of each row, with one common side.
+    the effect, as else every error would look positive.
     """
     moved = jacobian * np.abs(value)
     if lever is not None:

@@ -1,8 +1,7 @@
 """The extension: a robot's model with causes by stepwise search, each compared with an unnamed error.
 
 The search first takes errors as independent, then as correlated by a background (see `background`). A cause has to explain the
-data better than the background that would replace it, to be significant beside it over its whole family, and to carry over to
-left-out blocks of training poses (see `cross_validation`).
+data better than the background that would replace it, and to be significant beside it over its whole family.
 """
 
 from __future__ import annotations
@@ -24,21 +23,19 @@ from calflow.diagnosis.background import (
     uneven_causes,
     uneven_or_other_forms,
 )
-from calflow.diagnosis.cross_validation import carrying
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.form_error import farthest, with_form_errors
 from calflow.diagnosis.linear_model import LinearModel
 from calflow.diagnosis.regressors import Place
 from calflow.diagnosis.screening import Catalogue, Score, by_place
-from calflow.diagnosis.stepwise import REACH, SPLIT, Stepwise, second_thoughts, words
-from calflow.diagnosis.trial import Detection, Linearisation, Trial, is_new
+from calflow.diagnosis.stepwise import REACH, SPLIT, Stepwise, words
+from calflow.diagnosis.trial import Detection, Linearisation, Trial
 from calflow.effects.cause import Cause
 from calflow.estimation.fit import Fit
 from calflow.estimation.variance_components import refitted_cost, spent
 
 FINER_STEPS = 4  # refinements at most, of one inner unknown each
 CLEARLY_FINER = 2.0  # least decrease of cost of a variant against its neighbour for another fit
-THOUGHTS = 3  # rivals that may take a cause's place one after another
 
 
 @dataclass(frozen=True)
@@ -210,8 +207,8 @@ def weighed(
 ) -> tuple[FittedTrial, tuple[Detection[Cause], ...]]:
     """Return the trial of the extended model and its findings, after alternating between the causes found first and background.
 
-    start is the model without them. Causes that the background explains better, or that do not carry over, are dropped, and the
-    search continues from the others until nothing that it finds is left beside those that it began from.
+    start is the model without them. Causes that the background explains better are dropped, and the search continues from the
+    others until nothing that it finds is left beside those that it began from.
     """
     begin, found = FittedTrial(first.first, start, catalogue), first.fitted
     searched, judged = set[frozenset[Cause]](), set[frozenset[Cause]]()
@@ -252,11 +249,7 @@ def weighed(
         search.say(f"{words(hidden)} hardly shows beside the rest")
         ended = ended.with_causes([cause for cause in ended.causes if cause != hidden])
     against = unnamed(ended.fitted, basis, catalogue.variants, varying=uneven_or_other_forms)
-    carries = dict(zip(against, carrying(ended.fitted, basis, against), strict=True)) if against else {}
-    return ended, tuple(
-        replace(finding, unnamed=against[finding.cause], carries_over=carries[finding.cause])
-        for finding in ended.weighed_findings
-    )
+    return ended, tuple(replace(finding, unnamed=against[finding.cause]) for finding in ended.weighed_findings)
 
 
 def _named_instead(trial: FittedTrial, basis: BackgroundBasis, search: Stepwise) -> Cause | None:
@@ -276,14 +269,9 @@ def _named_instead(trial: FittedTrial, basis: BackgroundBasis, search: Stepwise)
 
 
 def _weakest(fitted: Fitted, basis: BackgroundBasis, variants: Mapping[Place, int]) -> Cause | None:
-    """Return the weakest cause that loses against a background, or else that does not carry over, if there is one."""
+    """Return the weakest cause that loses against a background, if there is one."""
     against = unnamed(fitted, basis, variants, lambda cause: cause.effect.named_in())
-    weakest = sorted(against, key=lambda cause: against[cause])
-    if not weakest or against[weakest[0]] < 0:
-        return next(iter(weakest), None)
-    return next(
-        (cause for cause, holds in zip(weakest, carrying(fitted, basis, weakest), strict=True) if not holds), None
-    )
+    return min((cause for cause in against if against[cause] < 0), key=against.__getitem__, default=None)
 
 
 def _searched(begin: FittedTrial, beside: FittedTrial, search: Stepwise) -> FittedTrial:
@@ -292,26 +280,8 @@ def _searched(begin: FittedTrial, beside: FittedTrial, search: Stepwise) -> Fitt
         now = begin.linearisation.screened(search.rng, begin.first.family)
         begin = replace(begin, first=replace(begin.first, scores=now.scores))
     tried = [begin, beside] if beside.causes else [begin]
-    best = _second_thought(search.settled(tried), tried, search)
+    best = search.settled(tried)
     more = len(best.causes) - len(beside.causes)
     if beside.causes and more > 0 and best.cost > beside.cost - SPLIT * more and search.stands(beside):
         best = beside  # as in an exchange, more causes must be clearly better
-    return best
-
-
-def _second_thought(best: FittedTrial, tried: list[FittedTrial], search: Stepwise) -> FittedTrial:
-    """Return the best model, or one with a rival in the place of a cause that the background explains nearly as well.
-
-    The evidence of fits takes the background's variances as known; the comparison of rivals in a cause's place does not.
-    """
-    for _ in range(THOUGHTS):
-        wanted = second_thoughts(best, search.acceptance)
-        if set(best.causes) == set(wanted):
-            break
-        if is_new(wanted, tried):
-            tried.append(best.with_causes(wanted))
-        (trial,) = (trial for trial in tried if set(trial.causes) == set(wanted))
-        if not search.stands(trial):
-            break
-        best = trial
     return best

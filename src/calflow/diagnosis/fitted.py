@@ -17,7 +17,7 @@ from calflow.estimation.extrapolation import beyond_measured
 from calflow.estimation.fit import Fit, IntraclassLikelihood, fit, fit_reweighted, refitted_sharing
 from calflow.estimation.lack_of_fit import SIGNIFICANT, LackOfFit
 from calflow.estimation.least_squares import LeastSquares, Loss
-from calflow.estimation.leverage import LeftOut, excess, left_out
+from calflow.estimation.leverage import LeftOut, Studentised, excess, left_out
 from calflow.estimation.noise import NO_DISCREPANCY, Noise, PerUnit
 from calflow.estimation.prior_scale import on_likeliest_scale
 from calflow.estimation.smooth_functions import Part
@@ -27,7 +27,6 @@ from calflow.model import Model
 HUBER = 4.5  # standard deviations from which rows are down-weighted
 SETTLED = 0.1  # relative change of noise and weights below which a fit is not repeated
 ROUGH = 1e-4  # share of chi² by which a fit that serves to estimate the noise alone may miss its optimum
-MOST_LEVERAGE = 0.95  # of a residual, by which it is studentised
 WEIGHINGS = 3  # fits at most, in which the weights of outliers and the scales of the causes' priors settle
 ALIKE = np.ones(1)  # factor of all rows without outliers
 
@@ -140,13 +139,7 @@ class Fitted:
     @cached_property
     def studentised(self) -> np.ndarray:
         """Studentised residuals of each row, (n_rows, n_units), nan where a row has fewer units."""
-        every = np.full((len(self.data), max(len(observed.units) for observed in self.model.observations)), np.nan)
-        for part in self.problem.parts():
-            residual, jacobian = part.linearised(self.fit.estimate)
-            leverage = np.einsum("rai,ij,raj->ra", jacobian, self.fit.covariance, jacobian, optimize=True)
-            freed = residual / np.sqrt(np.maximum(1 - leverage, 1 - MOST_LEVERAGE))
-            every[part.rows[:, None], np.arange(residual.shape[1])] = freed
-        return every
+        return Studentised.of(self.fit, self.data, self.noise).values
 
     @property
     def lacks_fit(self) -> bool:

@@ -14,8 +14,9 @@ from typing import Generic, Self
 import numpy as np
 import scipy
 
-from calflow.diagnosis.regressors import H, Regressors, side_by_side
+from calflow.diagnosis.regressors import H, Regressors
 from calflow.estimation.variance_components import LOG_PRIOR, SIZES, directions, explained, log_likelihood
+from calflow.model import side_by_side
 
 DRAWN_AT_ONCE = 250  # residuals
 

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 import scipy
 
-from calflow.diagnosis.fitted import MOST_LEVERAGE, Fitted
+from calflow.diagnosis.fitted import Fitted
 from calflow.estimation.calibrated_model import SeriesNoise
 from calflow.estimation.lack_of_fit import WORTH_TELLING, NoiseDoubt, doubt
 from calflow.estimation.noise import MIN_REPEATS, Label, Noise, Scatter, group_means
@@ -27,6 +27,7 @@ RANGE = "range"  # the condition of a row with which noise may grow
 UNLIKELY = 0.02  # p-value of equal noise above which that of set-ups is not settled
 ROWS_A_REGRESSOR = 4  # rows required for each smooth function that is removed
 WIDE = 10.0  # search range of a log standard deviation about its starting value
+MOST_LEVERAGE = 0.95  # of smooth functions on a residual, by which it is studentised
 COMPARABLE = 0.5  # least share of a set-up's indicator that its poses do not predict
 PASSES = 3  # refits in which the noise of set-ups settles
 ROUNDING = 1e-9  # singular value of regressors over the largest, below which it is rounding

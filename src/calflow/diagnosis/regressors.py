@@ -23,7 +23,7 @@ from calflow.estimation.fit import Fit
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.probing import Probe
 from calflow.estimation.smooth_functions import SmoothFunction
-from calflow.model import consecutive
+from calflow.model import consecutive, side_by_side
 
 SMALL_MODE = 0.02  # a mode's variance over the noise's, below which it changes no test
 HELD = 100_000_000  # matrix entries that are kept in memory
@@ -265,14 +265,6 @@ class Regressors(Generic[H]):
     def moving(self, matrix: TallMatrix) -> Regressors[H]:
         """Return a copy with another matrix of regressors, of which none is a candidate's."""
         return replace(self, matrix=matrix, candidates=())
-
-
-def side_by_side(numbers: np.ndarray) -> np.ndarray | slice:
-    """Return increasing indices (n,) as a slice where they are consecutive, so that NumPy indexes without a copy."""
-    if not len(numbers):
-        return numbers
-    first, last = int(numbers[0]), int(numbers[-1])
-    return slice(first, last + 1) if last - first == len(numbers) - 1 else numbers
 
 
 def candidates_of(effects: Sequence[Effect]) -> tuple[Candidate[Cause], ...]:

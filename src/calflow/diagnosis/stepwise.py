@@ -16,7 +16,7 @@ import numpy as np
 
 from calflow.diagnosis.regressors import H, Hypothesis
 from calflow.diagnosis.screening import Family, Score, by_place
-from calflow.diagnosis.trial import Detection, Trial, is_new
+from calflow.diagnosis.trial import Detection, Trial
 
 WITHIN = 10.0  # cost: closer rivals are not distinguished (Kass and Raftery 1995: "very strong" beyond)
 REACH = 7.0  # log odds against a model in reach, at most: a probability of 0.1 %
@@ -51,7 +51,7 @@ def is_worth_trying(causes: Sequence[Any], tried: Sequence[Trial]) -> bool:
     where = sorted(cause.place for cause in causes)
     costs = [trial.cost for trial in tried if sorted(cause.place for cause in trial.causes) == where]
     stuck = len(costs) > PATIENCE and min(costs[-PATIENCE:]) > min(costs[:-PATIENCE]) - BETTER
-    return not stuck and is_new(causes, tried)
+    return not stuck and all(set(causes) != set(trial.causes) for trial in tried)
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Generic, Self
+from typing import Generic, Self
 
 import numpy as np
 
@@ -22,15 +22,13 @@ from calflow.effects.cause import Cause
 class Detection(Generic[H]):
     """A cause in the extended model, with the scores of all candidates in its place, beside the other causes.
 
-    unnamed: cost of an unnamed error in its place, above its own; carries_over: whether it gains at left-out blocks of training
-    poses, None where that was not tested.
+    unnamed: cost of an unnamed error in its place, above its own.
     """
 
     cause: H
     scores: tuple[Score[H], ...]
     family: Family
     unnamed: float = np.inf
-    carries_over: bool | None = None
 
     @property
     def is_shown(self) -> bool:
@@ -188,7 +186,3 @@ class Trial(ABC, Generic[H]):
     def own_findings(self) -> tuple[Detection[H], ...]:
         """Its causes, each with the scores of its own place at least, which tell whether it stays."""
         return self.findings
-
-
-def is_new(causes: Sequence[Any], tried: Sequence[Trial]) -> bool:
-    return all(set(causes) != set(trial.causes) for trial in tried)

@@ -150,9 +150,8 @@ def unexplained(
     """Return the significant dependences of a fitted model's residual on inputs, the strongest first.
 
     Single functions are tested first, as they show a sharp dependence best; then the background as a whole. Joints that do not
-    repeat, at_rest, all significant, are reported where no function is significant beside their errors, beside, and then alone: to
-    tests that take rows as independent, errors of a pose look like a dependence on many inputs. So are they where functions are
-    significant beside these errors alone, which hide them otherwise: then with these functions.
+    repeat, at_rest, are reported where no function is significant beside their errors, or alone: to tests that take rows as
+    independent, errors of a pose look like many inputs. Functions that such errors hide otherwise are reported with them.
     """
     surest, beside_rest = list(at_rest), list[UnexplainedStructure]()
     if beside is not None and surest:

@@ -160,9 +160,8 @@ def fitted_alternatives(
 ) -> tuple[Alternative, ...]:  # fmt: skip
     """Return models with the likeliest rivals fitted in the causes' places, one at a time, except untestable rivals.
 
-    A form of a cause that depends on other conditions of a row is a rival too. Causes that are suspected, and so not in the model
-    to be used, and their rivals are further alternatives, as are probable causes beside those found: too small to be named for
-    certain, they shift predictions all the same.
+    Forms of a cause by other conditions of a row are rivals too. Suspected causes and their rivals are further alternatives, as are
+    probable causes beside those found: too small to be named for certain, they shift predictions all the same.
     """
     every = [*((verdict, verdict.cause) for verdict in verdicts), *((suspect, None) for suspect in suspected)]
     asked: list[tuple[float, Cause | None, Cause | None]] = [
@@ -260,12 +259,9 @@ def models_in_reach(
 ) -> tuple[ModelInReach, ...]:
     """Return the models in reach, the one to be used first, then by probability; empty without findings.
 
-    suspected are the findings that are not in the model to be used; beside are the scores of all candidates of the catalogue that
-    the final model lacks.
-
-    A priori each place that the data can show holds a cause with odds of one to the number of such places, shared evenly by its
-    forms: one cause is expected of the whole catalogue, however large. Places are independent of each other. Causes of very many
-    parameters do not come besides.
+    suspected are findings that are not in use; beside are the scores of all candidates that the final model lacks. A priori each
+    place that the data can show holds a cause with odds of one to the number of such places, shared evenly by its forms: one is
+    expected of the whole catalogue, however large. Causes of very many parameters do not come besides.
     """
     if not findings:
         return ()
@@ -367,9 +363,8 @@ def sizes(cause: Cause, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def found_amplitude(finding: Detection, fitted: Fitted) -> Amplitude:
     """Return a found cause's amplitude in the final model, with deviation and interval over all its forms.
 
-    Another form (another order, say) can explain the data as well with another amplitude. Each form is weighted by its evidence
-    (Bayesian model averaging: Hoeting et al. 1999). The interval is that of sizes drawn from the posterior: a length is not normal
-    about its estimate, nor are two forms of different amplitudes.
+    Each form is weighted by its evidence (Bayesian model averaging: Hoeting et al. 1999). The interval is that of sizes drawn from
+    the posterior: a length is not normal about its estimate, nor are two forms of different amplitudes.
     """
     cause = finding.cause
     columns = fitted.model.columns(cause)

@@ -36,11 +36,7 @@ def observing(model: Model, data: Measurements) -> Model:
 
 
 def completed(model: Model, estimate: np.ndarray, data: Measurements) -> tuple[Model, np.ndarray]:
-    """Return a model and its estimate, extended by the nuisance parameters of new rows.
-
-    A new socket or session is placed by its own rows with the robot held at its estimate, so that only the consistency of these
-    rows is judged.
-    """
+    """Return a model and its estimate with the nuisance parameters of new rows, placed by these with the robot held."""
     model = observing(model, data)
     lacking = [o.lacks(data.table[data.of_series(k)]) for k, o in enumerate(model.observations)]
     further = tuple(more for effect in model.effects for more in effect.completing(data))
@@ -255,7 +251,7 @@ def accuracy(
 def gain(
     before: np.ndarray, after: np.ndarray, heldout: Measurements, rng: np.random.Generator
 ) -> tuple[float, float, float]:
-    """Return the reduction of the mean error between two models' `errors` (n_rows, n_axes) on held-out rows, and its 95 % interval.
+    """Return the reduction of the mean held-out error between two models' `errors` (n_rows, n_axes), and its 95 % interval.
 
     It is by a bootstrap of whole poses, which are resampled within payload and session; nan where nothing is held out.
     """

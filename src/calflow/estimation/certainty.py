@@ -150,9 +150,8 @@ def tested_rows(calibrated: CalibratedModel, data: Measurements, error: np.ndarr
 
 
 def promised_limits(calibrated: CalibratedModel, data: Measurements) -> np.ndarray:
-    """Return the limit below which 95 % of a row's errors should lie, (n_rows,) in the unit by which the model is judged.
+    """Return the limit below which 95 % of a row's errors should lie, (n_rows,) in the unit by which the model is judged, or nan.
 
-    It is nan for a row that alone places its object, and so shows no error.
     The sum of squared normal errors along axes is approximated by a gamma variable of equal mean and variance (Satterthwaite 1946).
     """
     unit = calibrated.unit
@@ -165,13 +164,10 @@ def promised_limits(calibrated: CalibratedModel, data: Measurements) -> np.ndarr
 def missed_poses(
     calibrated: CalibratedModel, data: Measurements, residuals: pd.DataFrame, error: np.ndarray
 ) -> tuple[MissedPose, ...]:
-    """Return the poses, fitted or held out, whose error is more than MISSED times its limit, the worst first.
+    """Return the poses whose error is more than MISSED times its limit, the worst first.
 
-    Args:
-        calibrated: the calibrated model, without a residual field.
-        data: rows with the conditions that the model needs.
-        residuals: the table of their `Residual`s.
-        error: size of each row's residual, (n_rows,) in the unit by which the model is judged; nan where there is none.
+    calibrated has no residual field, data the conditions that it needs; residuals is the table of their `Residual`s, and error
+    (n_rows,) the size of each in the unit by which the model is judged, or nan.
     """
     there = np.flatnonzero(np.isfinite(error))
     by_pose = pd.Series(error[there], index=there).groupby(residuals["pose"].to_numpy()[there])

@@ -97,14 +97,10 @@ class ErrorModel:
         return np.array([keep(function) for function in self.functions for _ in function.declared], dtype=bool)
 
     def shared(self, slopes: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-        """Return errors with these derivatives as factors (n_rows, n_axes, n) of independent standard normals.
+        """Return errors as factors (n_rows, n_axes, n) of independent standard normals, by their slopes (n_rows, n_axes, n_all).
 
         Their squares add up to the mean square error of the model without these functions, so that their posterior mean counts in
-        full, but for the part that is independent from row to row.
-
-        Args:
-            slopes: by parameters and by amplitudes over sd, (n_rows, n_axes, n_parameters + n_functions).
-            covariance: of the parameters, with their offset.
+        full, but for the part that is independent from row to row. covariance is of the parameters, with their offset.
         """
         # One product of matrices: a stack of small ones takes several times as long.
         alone = np.tensordot(slopes[:, :, slopes.shape[2] - len(self.sd) :], self.spread, 1)
@@ -142,11 +138,8 @@ class ErrorModel:
     def root(self, covariance: np.ndarray, change: np.ndarray | None = None) -> np.ndarray:
         """Return the joint errors of parameters and of the amplitudes that follow them, as factors of independent standard normals.
 
-        Shape (n_parameters + n_functions, 1 + n_parameters); the first column is their mean. `spread` is to be added.
-
-        Args:
-            covariance: of the parameters about their mean.
-            change: their mean less the estimate, (n_parameters,); by default the offset.
+        Shape (n_parameters + n_functions, 1 + n_parameters); the first column is their mean. `spread` is to be added. covariance is
+        of the parameters about their mean; change (n_parameters,): that less the estimate, by default the offset.
         """
         change = self.offset if change is None else change
         own = root_of(covariance)

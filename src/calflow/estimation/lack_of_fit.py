@@ -173,10 +173,9 @@ class NoiseDoubt:
 
 
 def doubts_of_repeats(data: Measurements, error: np.ndarray, believed: tuple[bool, ...]) -> tuple[NoiseDoubt, ...]:
-    """Test the stated noise of each series against the repeats of its training poses; believed marks the series that use it.
+    """Test the stated noise of each series, believed or not, against its repeats, given the nominal robot's error (n_rows, n_axes).
 
-    error (n_rows, n_axes) is the nominal robot's. The test is a two-sided chi² test whose degrees of freedom are reduced by the
-    kurtosis of the scatter.
+    A two-sided chi² test, with degrees of freedom reduced by the kurtosis of the scatter.
     """
     train, lacks = data.only(data.train), []
     stated = stated_noise(train)

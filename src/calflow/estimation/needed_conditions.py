@@ -34,10 +34,9 @@ class NeededCondition:
 
 
 def needed_conditions(model: Model, estimate: np.ndarray, data: Measurements) -> tuple[NeededCondition, ...]:
-    """Return the optional conditions on which the markers' positions depend, and the size of each one's effect in the fitted rows.
+    """Return the optional conditions on which the markers' positions depend, by the graph's sparsity, and the size of each effect.
 
-    The graph's sparsity tells them, so that an effect need not declare its inputs. Conditions on which only the measuring device
-    depends are left out, and the time of a step, after which rows without a time are taken to be.
+    Those on which only the device depends are left out, and the time of a step, after which rows without a time are taken to be.
     """
     rows = data.only(data.train)
     model = model.later(rows)

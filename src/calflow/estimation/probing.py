@@ -18,7 +18,7 @@ import numpy as np
 
 from calflow.effects import Effect
 from calflow.estimation.least_squares import LeastSquares, SeriesBlock
-from calflow.model import Asked, compiled, over_rows
+from calflow.model import Asked, compiled, over_rows, side_by_side
 from calflow.robot.mechanism import Deflection, Dimensions, Loads, Row, State, nominal_dimensions, nominal_loads
 from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
@@ -102,10 +102,8 @@ class Basis:
 
     @cached_property
     def columns(self) -> np.ndarray | slice:
-        """The parameters' columns, as a slice where they are consecutive, to which NumPy writes in a third of the time."""
-        columns = self.column[self.first]
-        dense = len(columns) and columns[-1] - columns[0] == len(columns) - 1
-        return slice(int(columns[0]), int(columns[-1]) + 1) if dense else columns
+        """The parameters' columns."""
+        return side_by_side(self.column[self.first])
 
 
 @dataclass(frozen=True, eq=False)

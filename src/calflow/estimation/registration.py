@@ -68,9 +68,9 @@ def marker_places(robot: Robot) -> list[int]:
 
 
 def base_turn(turned: np.ndarray, measured: np.ndarray | None) -> Rotation | None:
-    """Return the base's rotation B from nominal rotations R of the flange and measured B R X, (n, 3, 3) each, nan where missing.
+    """Return the base's rotation B from nominal rotations R and measured B R X, (n, 3, 3), nan where missing (Shah 2013).
 
-    B and X are the leading singular vectors of the sum of R ⊗ B R X (Shah 2013). None where all rotations share one axis.
+    B and X are leading singular vectors of the sum of R ⊗ B R X. None where all rotations share one axis.
     """
     oriented = np.zeros(0, dtype=int) if measured is None else np.flatnonzero(np.isfinite(measured).all(axis=(1, 2)))
     if measured is None or len(oriented) < FEW_POSES:

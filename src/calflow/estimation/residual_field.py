@@ -98,8 +98,7 @@ def learnt(
         left: measured minus predicted positions (n, 3) [m].
         noise: standard deviation of the device's noise in left, per axis [m]; 0 where unknown.
         rng: draws the poses from which hyperparameters are learnt, where there are very many.
-        beside: derivatives of the positions by the model's parameters, times the parameters' prior standard deviations
-            (n, 3, n_parameters) [m], where these are to be integrated out.
+        beside: effects (n, 3, n_parameters) [m] of the model's parameters at a prior sd, where these are integrated out.
     """
     some = np.sort(rng.permutation(len(nodes))[:LEARNT_FROM])
     scaled = nodes[some] / np.maximum(np.ptp(nodes, axis=0), STILL)

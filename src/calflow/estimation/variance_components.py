@@ -214,7 +214,7 @@ class VarianceComponents:
     def _scoring_steps(self, variance: np.ndarray, parts: Iterable[int]) -> dict[int, tuple[float, float]]:
         """Return the scoring step of some parts' variances from zero, over its standard deviation and as it is.
 
-        It is observed less expected squares and the prior's slope, over twice the Fisher information on the variance.
+        It is observed less expected squares and the prior's slope, over twice the Fisher information.
         """
         steps = {}
         for k, (gram, score, chi2) in self._beside(variance, parts).items():
@@ -346,8 +346,7 @@ def refitted_cost(
 ) -> float:
     """Return minus twice the log evidence of a refitted model, comparable with others of the same data.
 
-    The causes' amplitudes are integrated out by Laplace's approximation; the model's other parameters are common to all. An
-    amplitude at a bound was fitted without effect, and counts as by BIC (Schwarz 1978).
+    The causes' amplitudes are integrated out by Laplace's approximation; one at a bound counts as by BIC (Schwarz 1978).
 
     Args:
         chi2: that of the model, with the causes' prior terms.

@@ -70,14 +70,9 @@ def shifts(calibrated: CalibratedModel, acts: np.ndarray, quantity: Quantity) ->
 
 
 def sensitivity(values: np.ndarray, log_density: np.ndarray) -> np.ndarray:
-    """Return the power-scaling sensitivity of each parameter's posterior to one of its factors, prior or likelihood.
+    """Return the power-scaling sensitivity of each parameter's posterior to one factor (Kallioinen et al. 2023, eq. 11).
 
-    It is the cumulative Jensen-Shannon distance per log2 of the power, by Pareto-smoothed importance weights
-    density^(alpha - 1) (Kallioinen et al. 2023, eq. 11).
-
-    Args:
-        values: the draws, shape (n_chains, n_draws, n_parameters).
-        log_density: log prior or log likelihood of each draw, up to a constant, shape (n_chains, n_draws).
+    values are draws (n_chains, n_draws, n_parameters), log_density (n_chains, n_draws) is that factor's, up to a constant.
     """
     array_stats = _array_stats()
     lower, upper = (power_weights(log_density, alpha) for alpha in ALPHAS)
