@@ -675,10 +675,10 @@ def side_by_side(numbers: np.ndarray) -> np.ndarray | slice:
 
 def over_rows(function: ca.Function, p: np.ndarray, *rows: np.ndarray) -> list[np.ndarray]:
     """Return a function (p, row, ...) -> dense outputs evaluated over rows, each (size, n_rows); outputs side by side."""
-    return at_rows(function, *rows)(p)
+    return bound_to_rows(function, *rows)(p)
 
 
-def at_rows(function: ca.Function, *rows: np.ndarray) -> Callable[[np.ndarray], list[np.ndarray]]:
+def bound_to_rows(function: ca.Function, *rows: np.ndarray) -> Callable[[np.ndarray], list[np.ndarray]]:
     """Return p -> `over_rows` of the same rows, whose values last until the next p: to bind rows takes longer than a few of them.
 
     Rows are evaluated in blocks of equal size, the last overlapping the one before.

@@ -20,7 +20,7 @@ from calflow.estimation.fit import Fit
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import averaged
 from calflow.measurements.measurements import Measurements
-from calflow.model import at_rows, compiled
+from calflow.model import bound_to_rows, compiled
 
 if TYPE_CHECKING:
     from emcee.moves import Move
@@ -236,7 +236,7 @@ def _sum_of_squares(problem: LeastSquares) -> Squares:
     for block in problem.blocks:
         inputs, residual = block.expression()
         row = compiled(ca.Function("residual", inputs, [residual]), EXPECTED_EVALUATIONS * len(block.rows))
-        every.append((block, at_rows(row, *block.data)))
+        every.append((block, bound_to_rows(row, *block.data)))
 
     def squares(values: np.ndarray) -> np.ndarray:
         found = np.zeros(values.shape[1])
