@@ -63,6 +63,7 @@ def test_the_same_measurements_have_no_test_of_chance(finished):
     assert found.pairs[0].p is None
     assert all(one.sd is None for one in found.parameters)
     assert found.data[0].same_data_as == ("stiff",)
+    assert not found.notes
     assert "effects" in [one.setting for one in found.settings]
     with pytest.raises(InputError, match="expected two runs"):
         compare(finished / "runs")

@@ -17,7 +17,7 @@ from calflow.effects import Effect
 from calflow.effects.cause import Cause
 from calflow.effects.joint_eccentricity import JointEccentricity
 from calflow.reporting.history_report import history_lines
-from calflow.runs.between_runs import _refitted, history_of_runs
+from calflow.runs.between_runs import _refitted, compare_runs, history_of_runs
 from conftest import without_data
 
 
@@ -115,6 +115,8 @@ def test_runs_with_other_causes_are_compared_with_those_of_all(finished, three):
     assert {"joint2.a", "joint2.theta"} <= {row.parameter for row in alike.parameters}
     assert "runs was fitted again with the causes of all runs: eccentricity of joint 2" in alike.notes[0]
     assert alike.status == "in place"
+    beside = compare_runs(first, second)
+    assert (beside.notes, "joint2.theta" in {row.parameter for row in beside.parameters}) == (alike.notes[:1], True)
     later = history_of_runs(first, second, third)
     assert [(moved.parameter, moved.after, moved.before) for moved in later.moved] == [("joint2.a", "second", "third")]
 

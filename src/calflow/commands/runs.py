@@ -139,6 +139,7 @@ def compare_command(runs: tuple[Path, ...], out: Path | None) -> None:
     loaded = [cf.Calibration.load(run) for run in runs]
     comparison = cf.compare_runs(*loaded)
     say(*comparison_lines(comparison))
+    say_notes(comparison.notes)
     if out is not None:
         keep(out, comparison, "Comparison of runs", lambda: comparison_report(run_names(loaded), comparison))
         say(f"report: {out / 'report.pdf'}")

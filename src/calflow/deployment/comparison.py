@@ -94,7 +94,7 @@ class RunCause:
 
 @dataclass(frozen=True)
 class Comparison(StoredResults):
-    """Runs side by side."""
+    """Runs side by side; notes: which were fitted again with the causes of all, or could not be."""
 
     settings: tuple[Setting, ...]
     data: tuple[RunData, ...]
@@ -102,6 +102,7 @@ class Comparison(StoredResults):
     parameters: tuple[ParameterDifference, ...]
     pairs: tuple[RunPair, ...]
     causes: tuple[RunCause, ...]
+    notes: tuple[str, ...]
 
     @property
     def table(self) -> pd.DataFrame:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from calflow.deployment.comparison import Comparison, RunAccuracy, RunPair
 from calflow.effects.wording import cause_name
 from calflow.files.words import listed, mm, plural, quantity
-from calflow.reporting.blocks import SPLITS, Gap, Paragraph, Part, Table, headed
+from calflow.reporting.blocks import SPLITS, Gap, Paragraph, Part, Table, headed, noted
 from calflow.reporting.sections.verdict import step_name
 
 PARAMETERS_SHOWN = 25  # parameters in the table, the most significant first
@@ -24,6 +24,7 @@ def comparison_report(names: Sequence[str], comparison: Comparison) -> list[Part
         Paragraph(listed(names), 16, bold=True),
         Gap(10),
         *(Paragraph(line, 11) for line in comparison_lines(comparison)),
+        *noted("What was fitted again", comparison.notes),
         *headed("Measurements and accuracy", _data(comparison), _accuracy(comparison)),
         *headed("What the models lacked", _causes(comparison), where=comparison.causes),
         *headed("Parameters", _parameters(comparison), where=comparison.parameters),

@@ -26,7 +26,6 @@ from calflow.diagnosis.fitted import Fitted
 from calflow.effects.cause import Cause
 from calflow.effects.wording import place_name
 from calflow.estimation.accuracy import leading_errors
-from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.difference import Difference
 from calflow.estimation.noise import averaged, repeats_scatter
 from calflow.files.problems import InputError, Problem, refuse, refuse_any
@@ -40,8 +39,9 @@ MOST_NAMED = 6  # causes in a note
 def compare_runs(*runs: Calibration) -> Comparison:
     """Return the comparison of two or more calibrations that were loaded from run folders.
 
-    Differences of parameters are tested against the sum of both covariances. Runs of the same measurements share their
-    errors, so that this test does not hold: their differences are reported without one.
+    Differences of parameters are tested against the sum of both covariances, those of one robot in models with the causes of all
+    (see `with_all_causes`). Runs of the same measurements share their errors, so that this test does not hold: their differences
+    are reported without one, and as they are.
 
     Raises:
         InputError: there are fewer than two.
@@ -51,15 +51,19 @@ def compare_runs(*runs: Calibration) -> Comparison:
     names = run_names(runs)
     measured = [measured_files(run) for run in runs]
     same = {(a, b) for a, b in combinations(range(len(runs)), 2) if measured[a].keys() & measured[b].keys()}
+    every = list(combinations(range(len(runs)), 2))
+    alike = all(same_robot(runs[a], runs[b]) != "another one" for a, b in every)
+    models, notes = with_all_causes(runs, names) if alike and len(same) < len(every) else (runs, [])
     parameters, pairs = [], []
-    for a, b in combinations(range(len(runs)), 2):
-        rows, pair = _compared(runs[a], runs[b], (names[a], names[b]), (a, b) in same)
+    for a, b in every:
+        shown = runs if (a, b) in same else models
+        rows, pair = _compared(shown[a], shown[b], (names[a], names[b]), (a, b) in same)
         parameters += rows
         pairs.append(pair)
     return Comparison(
         _settings(runs, names), tuple(_data(run, k, names, measured, same) for k, run in enumerate(runs)),
         tuple(RunAccuracy(**vars(row), run=name) for run, name in zip(runs, names, strict=True) for row in run.accuracy),
-        tuple(parameters), tuple(pairs), _causes(runs, names),
+        tuple(parameters), tuple(pairs), _causes(runs, names), tuple(notes),
     )  # fmt: skip
 
 
@@ -224,7 +228,7 @@ def history_of_runs(*runs: Calibration, false_alarm: float = FALSE_ALARM) -> His
     return replace(result, notes=(*notes, *result.notes, *_doubts(runs, names)))
 
 
-def with_all_causes(runs: Sequence[Calibration], names: Sequence[str]) -> tuple[Sequence[CalibratedModel], list[str]]:
+def with_all_causes(runs: Sequence[Calibration], names: Sequence[str]) -> tuple[Sequence[Calibration], list[str]]:
     """Return the runs' models, each with the causes of all: those that lack some are fitted again. With notes on that.
 
     What a joint's figures are depends on what else it does in a model. Of each cause the first run's form is taken; causes of the
@@ -233,7 +237,7 @@ def with_all_causes(runs: Sequence[Calibration], names: Sequence[str]) -> tuple[
     every: dict[tuple[str, ...], Cause] = {}
     for cause in (cause for run in runs for cause in run.model.causes if _stays(cause)):
         every.setdefault((*cause.place, cause.variant if cause.effect.side_by_side else ""), cause)
-    models: list[CalibratedModel] = []
+    models: list[Calibration] = []
     changed = []
     for run, name in zip(runs, names, strict=True):
         wanted = [cause.on(run.model.robot) for cause in every.values()]
@@ -258,8 +262,8 @@ def _stays(cause: Cause) -> bool:
     return not (cause.effect.of_measuring() or cause.effect.dated)
 
 
-def _refitted(run: Calibration, causes: Sequence[Cause]) -> CalibratedModel:
-    """Return a run's model fitted again with these causes of the robot, as far as its rows can show them.
+def _refitted(run: Calibration, causes: Sequence[Cause]) -> Calibration:
+    """Return a run with its model fitted again with these causes of the robot, as far as its rows can show them.
 
     Raises:
         InputError: its measurements are not there any more.
