@@ -142,10 +142,9 @@ def drift_words(pulls: Sequence[DriftPull]) -> list[str]:
 
 
 def vias(model: Model, request: SelectionRequest, readings: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Return the via (n, n_joints) from which every joint moves straight to each pose (n, n_joints).
+    """Return the via (n, n_joints) from which every joint moves straight to each pose, from either side equally often.
 
-    Each joint approaches upwards and downwards equally often, except where limits, loop or cell allow one side only;
-    where they allow none, the via is the pose itself.
+    Where limits, loop or cell allow one side only it is that; where they allow none, the via is the pose itself.
     """
     robot, (n, n_joints) = model.robot, readings.shape
     sides = np.stack([rng.permutation(np.where(np.arange(n) % 2, 1.0, -1.0)) for _ in range(n_joints)], axis=1)

@@ -18,10 +18,7 @@ SHORT = 1e-18  # m² (m⁴): a squared length, or squared cross product of two s
 
 
 def segment_distances(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:
-    """Return the distances [m] of segments from a to b and from c to d, each (n, 3), shape (n,).
-
-    Nearest points as in Ericson, Real-Time Collision Detection (2005), section 5.1.9; a segment may be a point.
-    """
+    """Return the distances [m] (n,) of segments a to b from c to d, (n, 3) each (Ericson, Real-Time Collision Detection, 5.1.9)."""
     first, second, apart = b - a, d - c, a - c
     p, q, mixed = _dot(first, first), _dot(second, second), _dot(first, second)
     along, across = _dot(first, apart), _dot(second, apart)

@@ -53,10 +53,10 @@ class Worth:
 
 @dataclass(frozen=True, eq=False)
 class PlanInformation:
-    """A plan and its information: readings (n, n_joints), and the prior information (n_parameters, n_parameters).
+    """A plan with readings (n, n_joints) and prior information (n_parameters, n_parameters), parameters scaled by their priors.
 
     own (n, n_units, n_parameters), further (n_further, n_units, n_parameters): whitened Jacobians of its poses, and of those
-    that would be measured next, the best first. Parameters are scaled by their priors' standard deviations.
+    that would be measured next, the best first.
     """
 
     model: Model

@@ -163,8 +163,7 @@ def at_poses(shifts: np.ndarray, columns: np.ndarray, pose: np.ndarray) -> np.nd
 def uneven_causes(fitted: Fitted, alone: Cause | None = None) -> list[np.ndarray]:
     """Return the effects of the causes of few parameters with amplitudes that differ from pose to pose, (n, …) each.
 
-    A part's usual variance makes them a share of the cause's size; those of the cause alone, which replace it, are as large as it.
-    Empty for more than FEW_POSES.
+    A part's usual variance makes them a share of the cause's size, and those of the cause alone, which replace it, as large as it.
     """
     poses, pose = np.unique(fitted.poses[fitted.problem.row], return_inverse=True)
     if len(poses) > FEW_POSES:

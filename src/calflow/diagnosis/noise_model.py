@@ -188,10 +188,7 @@ def noise_of_repeats(fitted: Fitted) -> Growth | NoiseLevels | None:
 
 
 def noise_of_residuals(fitted: Fitted) -> Growth | NoiseLevels | None:
-    """Return how the residuals of a model with its causes differ from the assumed noise; None with repeats.
-
-    They are taken without their smooth part in joint readings and place, which is a misfit that the noise must not absorb.
-    """
+    """Return how a model's residuals differ from the assumed noise, without their smooth part, a misfit; None with repeats."""
     if _of_repeats(fitted):
         return None
     # Other rows have no range, or a stated noise that grows with it.
@@ -233,10 +230,7 @@ def _settled(fitted: Fitted, setups: SetUps) -> NoiseLevels | None:
 
 
 def _growth(data: Measurements, sizes: ErrorSizes) -> Growth | None:
-    """Return the growth of sizes with range; None without ranges.
-
-    Only growth within a set-up counts: of two devices the further one may be the noisier.
-    """
+    """Return the growth of sizes with range within set-ups, as of two devices the further may be noisier; None without ranges."""
     if RANGE not in data.given:
         return None
     sizes = sizes.only(np.isfinite(data.table[RANGE].to_numpy()[sizes.rows]))
@@ -332,10 +326,7 @@ def _indicators(number: np.ndarray) -> np.ndarray:
 
 
 def _smooth_functions(fitted: Fitted, rows: np.ndarray) -> np.ndarray:
-    """Return smooth functions of joint readings and place at rows (n,), the constant first, as many as these permit, (n, k).
-
-    The place is that of the pose, the mean of its markers', which does not tell them apart.
-    """
+    """Return smooth functions (n, k) of joint readings and a pose's place at rows, the constant first, as many as these permit."""
     joints, of_rows = fitted.data.joints[rows], fitted.model.point(fitted.fit.estimate, fitted.data.conditions)
     pose = np.unique(fitted.poses, return_inverse=True)[1]
     place = group_means(of_rows, pose)[pose][rows]

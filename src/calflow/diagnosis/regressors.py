@@ -35,46 +35,35 @@ Place = tuple[str, str]  # of a cause: its id and part
 
 
 class Hypothesis(Protocol):
-    """A possible cause in one of its forms. Two that are equal are the same cause in the same form."""
+    """A possible cause in one of its forms. Two that are equal are the same cause in the same form.
+
+    id: its kind; part: that on which it acts, may be empty; joint: number of the joint or link, 0 for none; place: id and part,
+    which all its variants share; detail: its variant in words, empty where there is only one; bounds (2, n_parameters): of its
+    parameters relative to nominal; family: name used where the data do not distinguish its members, may be empty; alike: ids of
+    causes that no data of this kind distinguish from it.
+    """
 
     @property
-    def id(self) -> str:
-        """Its kind."""
-
+    def id(self) -> str: ...
     @property
-    def part(self) -> str:
-        """The part on which it acts; may be empty."""
-
+    def part(self) -> str: ...
     @property
-    def joint(self) -> int:
-        """Number of the joint or link on which it acts, 0 for none."""
-
+    def joint(self) -> int: ...
     @property
-    def place(self) -> Place:
-        """Id and part, which all its variants share."""
-
+    def place(self) -> Place: ...
     @property
-    def detail(self) -> str:
-        """Its variant in words; empty where there is only one."""
-
+    def detail(self) -> str: ...
     @property
-    def n_parameters(self) -> int:
-        """Number of its parameters."""
-
+    def n_parameters(self) -> int: ...
     @property
-    def bounds(self) -> np.ndarray:
-        """Bounds of its parameters relative to nominal, shape (2, n_parameters)."""
-
+    def bounds(self) -> np.ndarray: ...
     @property
-    def family(self) -> str:
-        """Its family's name, used where the data do not distinguish its members; may be empty."""
-
+    def family(self) -> str: ...
     @property
-    def alike(self) -> tuple[str, ...]:
-        """Ids of causes that no data of this kind distinguish from it."""
-
+    def alike(self) -> tuple[str, ...]: ...
     def same_form(self, other: Self) -> bool:
         """Whether it and another are forms of the same cause, so that they cannot both act."""
+        ...
 
 
 H = TypeVar("H", bound=Hypothesis)
@@ -102,12 +91,7 @@ class Background:
 
 
 def principal(modes: np.ndarray, parts: Sequence[np.ndarray]) -> np.ndarray:
-    """Return the principal effects of all parts of a background (see `Background`).
-
-    Args:
-        modes: orthonormal directions of the whitened residuals (n, n_modes).
-        parts: effects of each part's functions along them, (n_modes, n_waves), over the noise's standard deviation.
-    """
+    """Return the principal effects of a background's parts, (n_modes, n_waves) each over the noise, along modes (n, n_modes)."""
     variance, axes = np.linalg.eigh(sum(part @ part.T for part in parts))
     return np.asarray(modes @ (axes * np.sqrt(np.maximum(variance, 0.0)))[:, variance > SMALL_MODE])
 

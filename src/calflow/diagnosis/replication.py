@@ -72,11 +72,7 @@ class CarriedAccuracy:
 def confirm(calibrated: Fitted, other: Measurements) -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame]:
     """Fit the same effects to another series alone, and compare each joint error's curve over the common travel.
 
-    The tables are of `ConfirmedCause`s, of `ConfirmedPoint`s, and of `CarriedAccuracy`.
-
-    Args:
-        calibrated: the extended model on the first series.
-        other: the independent series, split into train and holdout, with data faults corrected.
+    The tables are of `ConfirmedCause`s, `ConfirmedPoint`s and `CarriedAccuracy`. other is split, with data faults corrected.
     """
     robot, observed = registered(other.robot, observations(other), other.only(other.train))
     other = other.on(robot)

@@ -116,10 +116,7 @@ class Score(Generic[H]):
 def f_threshold(
     false_alarm: float, tests: float | np.ndarray, degrees_of_freedom: int | np.ndarray, left: float | np.ndarray
 ) -> np.ndarray:
-    """Return the ratios (…) beyond which F tests are significant at the family's false_alarm.
-
-    tests (…) are the equivalent numbers of tests, degrees_of_freedom and left (…) those of each test.
-    """
+    """Return the ratios (…) beyond which F tests, of equivalent numbers (…), are significant at the family's false_alarm."""
     return np.asarray(scipy.special.fdtri(degrees_of_freedom, left, 1 + np.expm1(np.log1p(-false_alarm) / tests)))
 
 
@@ -422,10 +419,9 @@ class Screening(Generic[H]):
 def f_test(
     drops: np.ndarray, chi2: float | np.ndarray, spent: np.ndarray, total: float, freedom: np.ndarray | None = None
 ) -> np.ndarray:
-    """Return the p-values of F tests of drops (n_members, …) of chi² (…), which has total degrees of freedom.
+    """Return the p-values of F tests of drops (n_members, …) of chi² (…) of total freedom, of which each spent some (n_members,).
 
-    spent (n_members,) are each member's degrees of freedom, freedom (n_members,) those of the denominator's variance, by default
-    all that are left.
+    freedom (n_members,) is that of the denominator's variance, by default all that is left.
     """
     degrees_of_freedom = spent.reshape(-1, *[1] * (drops.ndim - 1))
     left = np.maximum(total - degrees_of_freedom, 1.0)

@@ -191,12 +191,7 @@ class LikelyErrors(SerialErrors):
         return float(2 * np.log(np.ptp(self.order.bounds, axis=0))[free].sum() - log_prior)
 
     def degrees_of_freedom(self, design: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        """Return the degrees of freedom of the variance of each column's amplitude, shape (n_columns,).
-
-        Args:
-            design: unwhitened Jacobian by the fitted parameters, scaled by their priors, (n, n_fitted).
-            columns: unwhitened regressors (n, n_columns).
-        """
+        """Return the degrees of freedom (n_columns,) of each regressor's amplitude's variance, beside a design (n, n_fitted)."""
         shown = self._log_slopes(lambda errors: self._visible(errors, design, columns))
         return self._satterthwaite(self._level_slopes[:, None] - shown)
 

@@ -95,10 +95,8 @@ def suspected(left: Sequence[UnexplainedStructure], scores: Sequence[Score[Cause
     strongest dependence: a priori one of them is as probable as none.
     """
     places = by_place(scores)
-    probability = place_probabilities(places)
-    causes = {
-        places[place][1].cause: probability[place] for place in sorted(places, key=lambda place: -probability[place])
-    }
+    likeliest = sorted(place_probabilities(places).items(), key=lambda item: -item[1])
+    causes = {places[place][1].cause: probability for place, probability in likeliest}
     structures = []
     for k, structure in enumerate(left):
         least = SUSPECTED if k == 0 else np.inf

@@ -133,10 +133,7 @@ def wrong_counts(robot: Robot, effects: Sequence[str], count: Mapping[str, int])
 
 
 def best_subset(fit: Fit, count: Mapping[str, int]) -> pd.DataFrame:
-    """Return which parameters a model would keep of each effect, given their number.
-
-    Effect by effect, they are the columns that add most to those already kept (QR with column pivoting).
-    """
+    """Return which parameters a model would keep of each effect, given their number: those that add most (QR with pivoting)."""
     scaled = _scaled(fit)
     effects = np.array([parameter.effect for parameter in fit.model.parameters])
     kept = np.zeros(len(effects), dtype=bool)

@@ -93,10 +93,7 @@ class NormalEquations:
         return replace(self, products=self.products[np.ix_(left, left)] - imitated.T @ imitated)
 
     def restricted_likelihood(self, freedom: float) -> tuple[float, float]:
-        """Return the likeliest variance of the residuals, and minus twice their restricted log-likelihood at that variance.
-
-        The coefficients are integrated out (Patterson and Thompson 1971); freedom are the residual degrees of freedom.
-        """
+        """Return the likeliest variance of residuals of so much freedom, and minus twice their restricted log-likelihood at it."""
         factor = np.linalg.cholesky(self.gram)
         settled = scipy.linalg.solve_triangular(factor, self.score, lower=True)
         variance = max(self.chi2 - float(settled @ settled), np.finfo(float).tiny) / freedom

@@ -120,8 +120,7 @@ def point_errors(
 
     Args:
         posterior: the sampled posterior.
-        calibrated: the full model, including causes that the posterior holds at their estimates, for the conditions that the
-            rows state.
+        calibrated: the full model, causes held during sampling included, for the conditions that the rows state.
         conditions: packed conditions (n_conditions, n_points).
         rng: random numbers.
         widened: further variance of positions [m²].
