@@ -7,8 +7,6 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import HealthCheck, Phase, given, settings
-from hypothesis import strategies as st
 
 import calflow as cf
 import robots
@@ -114,26 +112,6 @@ def assert_loaded(calibration: cf.Calibration, folder) -> cf.Calibration:
     return loaded
 
 
-ROBOTS = {
-    "arm": robots.industrial(),
-    "arm with a marker off its axes": robots.industrial(markers={"E": {"point_m": [0.1, 0.02, 0.3]}}),
-    "loop": robots.palletiser(),
-    "rail": ON_A_RAIL,
-}
-cases = st.builds(
-    Case,
-    robot=st.sampled_from(list(ROBOTS.values())),
-    effects=st.sampled_from([("geometry",), ("geometry", "joint-compliance"), ("geometry", "gravity-deflection")]),
-    kind=st.sampled_from(["position", "pose", "distance"]),
-    stated=st.booleans(),
-    bend=st.sampled_from([0.0, 2e-3]),
-).filter(
-    lambda case: (
-        case.effects == ("geometry",) or (case.robot.has_masses and case.kind != "distance")
-    )  # too few equations
-)
-
-
 def assert_identified_and_loaded(case: Case, seed: int, folder) -> cf.Calibration:
     """What was identified is loaded as it was, without a residual field and with the one that it may gain."""
     calibration = cf.identify(case.robot, case.measured(seed), case.effects, starts=1, seed=seed, title="any")
@@ -149,20 +127,6 @@ def test_what_is_loaded_is_what_was_saved(name, tmp_path):
     case = CASES[name]
     corrected = assert_identified_and_loaded(case, 1, tmp_path)
     assert (corrected.field is not None) == bool(case.bend)
-
-
-@settings(
-    max_examples=2,
-    phases=[Phase.explicit, Phase.generate],
-    deadline=None,
-    derandomize=True,
-    database=None,
-    suppress_health_check=list(HealthCheck),
-)
-@given(case=cases, seed=st.integers(1, 1000))
-def test_whatever_is_identified_is_loaded_as_it_was_saved(tmp_path_factory, case, seed):
-    """Fails if any robot, effects, device, noise or residual field costs a bit, of which the cases above are a few."""
-    assert_identified_and_loaded(case, seed, tmp_path_factory.mktemp("saved"))
 
 
 def test_a_diagnosis_is_loaded_with_all_it_found(tmp_path):

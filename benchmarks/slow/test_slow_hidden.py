@@ -139,3 +139,11 @@ def test_a_mass_is_no_rival_of_the_spring_that_it_acts_through(tmp_path: Path) -
 def test_sessions_alone_are_no_cause(tmp_path):
     """Fails if frames of sessions, or anything else, are seen where each session stood as the first."""
     assert found(tmp_path, case("serial", columns=DAYS, poses=90, settings=IN_TIME), 22).table.empty
+
+
+def test_a_joint_that_does_not_repeat_is_told_beside_another_error(tmp_path) -> None:
+    """Fails if both are passed over in silence where each is significant beside the other alone."""
+    play, eccentric = Hidden("joint-backlash", 3, 4e-4), Hidden("joint-eccentricity", 2, 3e-4)
+    seen = found(tmp_path, case("serial", play, eccentric, columns=()), 18)
+    assert any(told.startswith("joint 3 comes to rest elsewhere") for told in seen.unexplained["statement"])
+    assert any("q2" in told or "joint 2" in told for told in seen.table["statement"])

@@ -8,15 +8,18 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import strategies as st
 
 import calflow as cf
 import robots
 from calflow.deployment.run_outcome import RunOutcome
 from conftest import _measured, small  # noqa: F401, fixtures
+from effects.test_axis_straightness import ON_A_RAIL
 from hidden.devices import rows, written
 from stages.test_mixtures import WIRE, eccentricity_found, finished, lines_at_fault, study, tables  # noqa: F401, fixtures
 from stages.test_select import selected
-from test_saved import Case, assert_loaded
+from test_saved import Case, assert_identified_and_loaded, assert_loaded
 
 
 def test_what_the_plan_tells_apart_is_said_where_it_is_asked_for(small):  # noqa: F811
@@ -78,3 +81,37 @@ def test_the_noise_of_a_session_is_loaded_as_it_was_saved(tmp_path):
     assert not np.array_equal(found.estimate, calibration.estimate), "fitted again with that noise"
     *_, fitted = (row for row in found.accuracy if row.split == "train")
     assert fitted.mean == pytest.approx(1e3 * np.linalg.norm(off[data.train], axis=1).mean())
+
+
+ROBOTS = {
+    "arm": robots.industrial(),
+    "arm with a marker off its axes": robots.industrial(markers={"E": {"point_m": [0.1, 0.02, 0.3]}}),
+    "loop": robots.palletiser(),
+    "rail": ON_A_RAIL,
+}
+cases = st.builds(
+    Case,
+    robot=st.sampled_from(list(ROBOTS.values())),
+    effects=st.sampled_from([("geometry",), ("geometry", "joint-compliance"), ("geometry", "gravity-deflection")]),
+    kind=st.sampled_from(["position", "pose", "distance"]),
+    stated=st.booleans(),
+    bend=st.sampled_from([0.0, 2e-3]),
+).filter(
+    lambda case: (
+        case.effects == ("geometry",) or (case.robot.has_masses and case.kind != "distance")
+    )  # too few equations
+)
+
+
+@settings(
+    max_examples=10,
+    phases=[Phase.explicit, Phase.generate],
+    deadline=None,
+    derandomize=True,
+    database=None,
+    suppress_health_check=list(HealthCheck),
+)
+@given(case=cases, seed=st.integers(1, 1000))
+def test_whatever_is_identified_is_loaded_as_it_was_saved(tmp_path_factory, case, seed):
+    """Fails if any robot, effects, device, noise or residual field costs a bit, of which tests/test_saved.py has a few."""
+    assert_identified_and_loaded(case, seed, tmp_path_factory.mktemp("saved"))

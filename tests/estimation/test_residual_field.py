@@ -66,21 +66,6 @@ def test_it_takes_no_more_off_a_promise_than_it_explains(field):
     assert (left < doubt).all()
 
 
-def test_noise_alone_is_never_corrected():
-    """Fails if what is left by chance is taken for a gain; benchmarks/slow asks how often."""
-    assert gained(5) == 0
-
-
-def gained(cases: int) -> int:
-    """In how many cases of noise alone a field is taken to gain something."""
-    found = 0
-    for seed in range(cases):
-        rng = np.random.default_rng([5, seed])
-        q = rng.uniform(LOW, HIGH, (40, 4))
-        found += gain_of(q, NOISE * rng.standard_normal((40, 3)), NOISE, rng).gains
-    return found
-
-
 def test_left_out_blocks_see_what_is_gained():
     """Fails if blocks are single poses that have their twins beside them, or a gain is not seen with them."""
     q, left = drawn(POSES, 6)

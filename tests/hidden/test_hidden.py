@@ -214,14 +214,6 @@ TABLE_2 = case(  # of the paper on the HH800; benchmarks/slow finds the complian
 )
 
 
-def test_a_joint_that_does_not_repeat_is_told_beside_another_error(tmp_path) -> None:
-    """Fails if both are passed over in silence where each is significant beside the other alone."""
-    play, eccentric = Hidden("joint-backlash", 3, 4e-4), Hidden("joint-eccentricity", 2, 3e-4)
-    seen = found(tmp_path, case("serial", play, eccentric, columns=()), 18)
-    assert any(told.startswith("joint 3 comes to rest elsewhere") for told in seen.unexplained["statement"])
-    assert any("q2" in told or "joint 2" in told for told in seen.table["statement"])
-
-
 UNKNOWN = {  # and more in benchmarks/blind.py
     "cable drag": case("hh800", Hidden("cable-drag", 0, 6e-4)),
     "play, no side recorded": case("hh800", Hidden("joint-backlash", 3, 2e-4), columns=()),
