@@ -68,7 +68,11 @@ HEADER = {
     "many unknown": (with_columns(**{f"c{i}": "1" for i in range(300)}), [*["unknown column 'c"] * 20, "and 280 more columns"]),
     "some torques": (with_columns(tau1_Nm="1", tau2_Nm="1"), ["missing column: expected tau3_Nm or tau3_kNm"]),
     "some forces": (with_columns(fx_N="1", fy_N="1", fz_N="1", mx_Nm="1", my_Nm="1"), ["missing column: expected mz_Nm"]),
-    "a fourth joint": (with_columns(q4_deg="1"), ["unknown column 'q4_deg', did you mean 'q"]),
+    "a fourth joint": (with_columns(q4_deg="1"), ["unknown column 'q4_deg': the robot file has 3 joints"]),
+    "names of another": (renamed(x_mm="#7"), ["unknown column '#7'", "missing column: expected x_m",
+                                               "if columns have names of their own, say q1_deg = "]),
+    "a title first": (lambda rows: pd.DataFrame([rows.columns.tolist()], columns=["A tracker's", *[""] * (len(rows.columns) - 1)]),
+                      ["expected the header line, found 'A tracker's': leave out what precedes it, or say header_line = 2"]),
     "another separator": (lambda rows: rows.set_axis([";".join(rows.columns), *rows.columns[1:]], axis=1).iloc[:, :1],
                           ["has no ',' in its header line, but ';': say separator = \";\""]),
 }  # fmt: skip

@@ -237,6 +237,12 @@ def test_a_path_with_backslashes_is_told_how_to_be_written(small, path):
     assert load_study(study)
 
 
+def test_a_decimal_comma_is_told(small):
+    """Fails if a number with a decimal comma ends in TOML's words alone."""
+    small.edit("robot.toml", ("a_mm = 100", "a_mm = 100,5"))
+    assert small.refused("check")[0].endswith("; numbers have a decimal point")
+
+
 def test_of_many_mistakes_the_first_are_told_and_the_others_counted(small):
     """Fails if thousands of problems scroll by, one kind hides another, or none says how many there are."""
     small.edit("robot.toml", ("a_mm = 100", "a = 100"), ("[payloads.light]", "\n".join(

@@ -54,6 +54,8 @@ TOO_LONG = f"is too long: expected at most {LONGEST_KEY} characters in a name, {
 
 WINDOWS = re.compile(r'"(?:[A-Za-z]:|\.{1,2}|\w+)\\(?![\\"])')  # a path with backslashes in double quotes
 ESCAPED = re.compile(r"^[A-Za-z]:[\b\t\n\f\r]")  # a path in which TOML read a backslash and a letter as an escape
+COMMA = re.compile(r"[^=#]*=\s*[-+]?\d+,\d")  # a number with a decimal comma
+POINT = "numbers have a decimal point"
 SLASHES = "a backslash begins an escape here: write the path with /, or in single quotes ('C:\\data\\points.csv')"
 
 UNKNOWN = "unknown"  # in place of a quantity that must be stated but is not known
@@ -350,7 +352,8 @@ def parse_toml(path: Path) -> tuple[dict[str, Any], Origin]:
         line = re.search(r"line (\d+)", str(error))
         lines = text.splitlines()
         at = int(line.group(1)) if line else len(lines) if "end of document" in str(error) else None
-        hint = f"; {SLASHES}" if at and WINDOWS.search(lines[at - 1]) else ""
+        wrong = lines[at - 1] if at else ""
+        hint = f"; {SLASHES}" if WINDOWS.search(wrong) else f"; {POINT}" if COMMA.match(wrong) else ""
         raise refuse(f"not TOML: {error}{hint}", path, at) from None
     except (ValueError, RecursionError) as error:  # a number of thousands of digits
         raise refuse(f"cannot be read: {error}", path) from None

@@ -201,8 +201,14 @@ def _checked_shape(text: str, path: Path, dialect: Dialect, named: Collection[st
     there = _header_cells(lines, path, dialect)
     names = dialect.names(there)
     fewer, more, widest = [], [], len(names)
+    alone = next(iter(filter(None, names)), "") if sum(map(bool, names)) == 1 and not dialect.header else ""
     least = max((k for k, name in enumerate(names, start=1) if name in (named or names)), default=0)
     for line, cells in enumerate(lines, start=dialect.header_line + 1):
+        if alone and sum(bool(cell.strip()) for cell in cells) > 1:
+            raise refuse(
+                f"expected the header line, found '{truncated(alone)}': leave out what precedes it, or say header_line = {line} "
+                "in the study's [measurements]", path, dialect.header_line,
+            )  # fmt: skip
         if any(cell.strip() for cell in cells[len(names) :]):
             more.append(line)
         elif len(cells) < least and any(cells):

@@ -34,6 +34,10 @@ from calflow.robot.frames import angles
 from calflow.robot.mechanism import BY_JOINT
 from calflow.robot.robot import Robot
 
+FOREIGN = (
+    'if columns have names of their own, say q1_deg = "its name" … under the study\'s [measurements.columns], or let '
+    "'calflow import' find out which is which"
+)
 LABELS = ("pose", "repeat", "marker", "payload", "session", "split")
 AMBIENT = (213.15, 423.15)  # K: temperatures at which robots are measured
 BLOCKS = ("payload", "session")  # strata within which poses are held out and resampled
@@ -207,6 +211,9 @@ def check_header(columns: Sequence[ReadColumn], layout: Layout, robot: Robot, co
     for marker in dict.fromkeys([column.marker for column in columns if column.marker] or [""]):
         columns_of = {column.name: column for column in columns if column.marker in ("", marker)}
         missing += _missing(columns_of, marker, layout, robot, conditions_only)
+    foreign = any(column.name not in allowed and not _near(column, allowed) for column in wrong[:MOST_TOLD])
+    if foreign and missing and not (layout.columns or layout.markers):
+        missing.append(FOREIGN)
     names = {column.name: column for column in columns}
     twice = [
         f"{names[name]}: the study's [measurements] states {name} too; expected one of them"
@@ -238,14 +245,21 @@ def _is_known(column: ReadColumn, names: Mapping[str, str]) -> bool:
     return column.name in names and column.unit in SUFFIXES.get(names[column.name], ("",))
 
 
+def _near(column: ReadColumn, names: Mapping[str, str]) -> str:
+    """Return which name a wrong one may stand for, or that the robot has no such joint; empty where nothing is near."""
+    every = [f"{n}_{s}" if s else n for n, d in names.items() for s in SUFFIXES.get(d, ("",))]
+    if re.fullmatch("q[0-9]+", column.name):
+        return f": the robot file has {plural(sum(name[:1] == 'q' and name[1:].isdigit() for name in names), 'joint')}"
+    return nearest(column.ours, every)
+
+
 def _mistake(column: ReadColumn, first: Columns, names: Mapping[str, str]) -> str:
     """Return the message on a column's wrong name."""
     name = column.name
     if _doubled(column, first):
         return f"{column}: '{name}' is there twice, in different units"
     if name not in names or (column.unit and not names[name]):
-        every = [f"{n}_{s}" if s else n for n, d in names.items() for s in SUFFIXES.get(d, ("",))]
-        return f"unknown {column}{nearest(column.ours, every)}"
+        return f"unknown {column}{_near(column, names)}"
     if not _is_known(column, names):
         wanted = ", ".join(f"{name}_{suffix}" for suffix in SUFFIXES[names[name]])
         return f"{column} needs a unit of {names[name]} in its name: {wanted}"
