@@ -289,6 +289,6 @@ def _doubts(runs: Sequence[Calibration], names: Sequence[str]) -> Iterator[str]:
     ]
     if doubtful:
         yield (
-            f"the model of {', '.join(doubtful)} leaves errors beyond the noise, or was not diagnosed: where runs were measured at "
+            f"the model of {listed(doubtful)} leaves errors beyond the noise, or was not diagnosed: where runs were measured at "
             "different poses such errors pass for movements; measure the same poses, and run diagnose"
         )
