@@ -10,6 +10,7 @@ import numpy as np
 
 Array = np.ndarray
 WEIGHT = np.array([0.0, 0.0, -9.80665])  # of 1 kg, in the base frame [N]
+LEVERS = np.cross(np.eye(3), WEIGHT)  # v @ LEVERS is v × WEIGHT
 SUFFIXES = {"_m": 1.0, "_mm": 1e-3, "_rad": 1.0, "_deg": np.pi / 180, "_kg": 1.0}
 NEARLY_PARALLEL = 0.1  # rad
 STILL = 1e-11  # m: equilibrium is reached when no tool moves farther in a turn
@@ -363,7 +364,7 @@ def _bodies(robot: Robot, rows: Rows, found: Frames) -> tuple[Array, Array]:
 
 
 def _moment(load: Array, about: Array) -> Array:
-    return np.cross(load[..., 1:] - load[..., :1] * about, WEIGHT)
+    return (load[..., 1:] - load[..., :1] * about) @ LEVERS
 
 
 def _in_frame(frame: Array, vector: Array) -> Array:
