@@ -15,6 +15,7 @@ import numpy as np
 import scipy
 
 from calflow.diagnosis.regressors import H, Regressors
+from calflow.estimation.forward_substitution import forward
 from calflow.estimation.variance_components import LOG_PRIOR, SIZES, directions, explained, log_likelihood
 from calflow.model import side_by_side
 
@@ -95,7 +96,7 @@ class LinearModel(Generic[H]):
     def _gradient(self) -> np.ndarray:
         """Gradient of the fit's objective in the same coordinates; zero at an optimum."""
         r = self.regressors
-        return np.asarray(scipy.linalg.solve_triangular(self._factor, r.jacobian.T @ r.residual + r.pull, lower=True))
+        return forward(self._factor, r.jacobian.T @ r.residual + r.pull)
 
     @cached_property
     def step(self) -> np.ndarray:
@@ -115,12 +116,12 @@ class LinearModel(Generic[H]):
     @cached_property
     def prediction_root(self) -> np.ndarray:
         """A root R (n_free, n) of the covariance RᵀR of the predicted residuals."""
-        return np.asarray(scipy.linalg.solve_triangular(self._factor, self.regressors.jacobian.T, lower=True))
+        return forward(self._factor, self.regressors.jacobian.T)
 
     def root_covariance(self, parameters: np.ndarray) -> np.ndarray:
         """Return a root R (n_free, n) of the covariance RᵀR of some free parameters, given by indices."""
         picked = np.eye(len(self._factor))[:, parameters]
-        return np.asarray(scipy.linalg.solve_triangular(self._factor, picked, lower=True))
+        return forward(self._factor, picked)
 
     @property
     def score(self) -> np.ndarray:
@@ -153,7 +154,7 @@ class LinearModel(Generic[H]):
         r, size = self.regressors, np.ones(len(residual)) if size is None else size
         steps = [slice(start, start + DRAWN_AT_ONCE) for start in range(0, residual.shape[1], DRAWN_AT_ONCE)]
         chi2 = (pull**2 / r.precision[:, None]).sum(axis=0)
-        gradient = np.asarray(scipy.linalg.solve_triangular(self._factor, pull, lower=True))
+        gradient = forward(self._factor, pull)
         score = -self.projected.T @ gradient
         for draws in steps:
             drawn = size[:, None] * residual[:, draws]

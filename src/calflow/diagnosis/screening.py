@@ -20,6 +20,7 @@ import scipy
 from calflow.diagnosis.linear_model import DRAWN_AT_ONCE, LinearModel, Stack
 from calflow.diagnosis.regressors import Candidate, H, Place, Regressors
 from calflow.effects import Effect, catalogue, effect_class
+from calflow.estimation.forward_substitution import forward
 from calflow.estimation.prior_scale import on_likeliest_scale
 from calflow.estimation.variance_components import explained, log_likelihood, mixed
 from calflow.measurements.measurements import Measurements
@@ -361,7 +362,7 @@ class Screening(Generic[H]):
         root, precision = whole.fixed_root[:, stay], whole.regressors.precision[whole.fixed[stay]]
         # A covariance is minus what S is of a parameter, of which no residuals tell beside itself.
         variance = (root**2).sum(axis=0) - self._sign @ self._swept(root, np.zeros((len(self.come), len(stay)))) ** 2
-        inverse = scipy.linalg.solve_triangular(self._factor, np.eye(len(self.come)), lower=True)
+        inverse = forward(self._factor, np.eye(len(self.come)))
         of_come = (inverse**2).sum(axis=0) @ self.whole.regressors.prior_sd[self.come] ** -2.0
         return float(len(whole.regressors.residual) - len(stay) - len(self.come) + precision @ variance + of_come)
 
@@ -388,7 +389,7 @@ class Screening(Generic[H]):
         """
         out = self._root @ projected
         beside = shown - self.whole.projected[:, self.come].T @ projected + self._taken.T @ out
-        return np.vstack([out, scipy.linalg.solve_triangular(self._factor, beside, lower=True)])
+        return np.vstack([out, forward(self._factor, beside)])
 
     @cached_property
     def _span(self) -> slice:
@@ -411,9 +412,9 @@ class Screening(Generic[H]):
     def _way(self) -> np.ndarray:
         """The same of the residual, h."""
         triangle = np.linalg.qr(self.whole.root_covariance(self.gone))[1]
-        out = scipy.linalg.solve_triangular(triangle.T, -self.value - self.whole.step[self.gone], lower=True)
+        out = forward(triangle.T, -self.value - self.whole.step[self.gone])
         score = self.whole.score[self.come] + self._taken.T @ out
-        return np.concatenate([out, scipy.linalg.solve_triangular(self._factor, score, lower=True)])
+        return np.concatenate([out, forward(self._factor, score)])
 
 
 def f_test(

@@ -21,6 +21,7 @@ from itertools import product
 import numpy as np
 import scipy
 
+from calflow.estimation.forward_substitution import forward
 from calflow.estimation.variance_components import NormalEquations
 
 RATIO = (1e-2, 1e3)  # bounds of the process's variance over the white noise's
@@ -135,6 +136,12 @@ class RestrictedLikelihood:
         """Design and residual side by side, (n, n_parameters + 1)."""
         return np.column_stack([self.design, self.residual])
 
+    @cached_property
+    def _prior(self) -> np.ndarray:
+        """Products of the parameters' prior, (n_parameters + 1, n_parameters + 1)."""
+        none = NormalEquations(np.zeros((len(self.pull) + 1,) * 2), 0)
+        return none.with_prior(self.pull, np.full(len(self.pull), self.level**2)).products
+
     def variance(self, errors: SerialErrors | None) -> float:
         return self._equations(errors).restricted_likelihood(self.degrees_of_freedom)[0]
 
@@ -144,8 +151,7 @@ class RestrictedLikelihood:
 
     def _equations(self, errors: SerialErrors | None) -> NormalEquations:
         both = self._both if errors is None else errors.whitened(self._both)
-        flat = np.full(len(self.pull), self.level**2)
-        return NormalEquations(both.T @ both, len(both)).with_prior(self.pull, flat)
+        return NormalEquations(both.T @ both + self._prior, len(both))
 
     def likeliest(self, order: RowOrder) -> LikelyErrors | None:
         """Return the likeliest serial errors; None where independent errors are about as likely."""
@@ -222,6 +228,6 @@ class LikelyErrors(SerialErrors):
     def _visible(self, errors: SerialErrors, design: np.ndarray, columns: np.ndarray) -> np.ndarray:
         design, columns = errors.whitened(design), errors.whitened(columns)
         information = design.T @ design + self.likelihood.level**2 * np.eye(design.shape[1])
-        imitated = scipy.linalg.solve_triangular(np.linalg.cholesky(information), design.T @ columns, lower=True)
+        imitated = forward(np.linalg.cholesky(information), design.T @ columns)
         shown = (columns**2).sum(axis=0)
         return np.asarray(np.maximum(shown - (imitated**2).sum(axis=0), 1e-12 * shown + np.finfo(float).tiny))

@@ -18,6 +18,7 @@ import scipy
 
 from calflow.effects.base import Effect
 from calflow.estimation.fit import Fit
+from calflow.estimation.forward_substitution import forward
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import PerUnit, representative
 from calflow.estimation.probing import Probe
@@ -407,6 +408,6 @@ def normal_equations(
 def _step(equations: NormalEquations, model: Model, estimate: np.ndarray) -> np.ndarray:
     """Return the step of the parameters (n,) from an estimate to the minimum of their normal equations within bounds."""
     factor = np.linalg.cholesky(equations.gram * np.outer(model.prior_sd, model.prior_sd))
-    target = -scipy.linalg.solve_triangular(factor, model.prior_sd * equations.score, lower=True)
+    target = -forward(factor, model.prior_sd * equations.score)
     room = ((model.bounds.T - estimate) / model.prior_sd) * (1 - INSIDE)
     return np.asarray(model.prior_sd * scipy.optimize.lsq_linear(factor.T, target, room).x)

@@ -456,10 +456,10 @@ def _steps(walk: Wandering, at: np.ndarray, duration: float, n: int) -> list[InT
         # The first step is the initial state of a stationary process.
         nodes = np.append(at.min() - STATIONARY * walk.time_constant, nodes)
     steps = [InTime(walk.robot, walk.of, walk.clock, begin, end) for begin, end in pairwise(nodes.tolist())]
-    per_time = walk.change_in(duration) / duration**0.5
+    per_time, times = walk.change_in(duration) / duration**0.5, ca.DM(at)
     return [
         replace(step, share=per_time * float(step.diffusion(ca.DM(step.end - step.begin))) ** 0.5,
-                mean=float(np.mean(step.share_at(ca.DM(at)).full())))
+                mean=float(np.mean(step.share_at(times).full())))
         for step in steps
     ]  # fmt: skip
 

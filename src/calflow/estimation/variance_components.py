@@ -21,6 +21,8 @@ from functools import cached_property
 import numpy as np
 import scipy
 
+from calflow.estimation.forward_substitution import forward
+
 SIZE_STEPS = 30  # iterations of the variances
 SETTLED = 0.03  # relative change of the variances below which they have converged
 PROMISING = 1.0  # score in standard deviations, from which a part is tried
@@ -89,13 +91,13 @@ class NormalEquations:
         """Return those of the remaining coefficients beside others, given by indices, at their best values or integrated out."""
         left = np.setdiff1d(np.arange(len(self.products)), others)
         factor = np.linalg.cholesky(self.products[np.ix_(others, others)])
-        imitated = scipy.linalg.solve_triangular(factor, self.products[np.ix_(others, left)], lower=True)
+        imitated = forward(factor, self.products[np.ix_(others, left)])
         return replace(self, products=self.products[np.ix_(left, left)] - imitated.T @ imitated)
 
     def restricted_likelihood(self, freedom: float) -> tuple[float, float]:
         """Return the likeliest variance of residuals of so much freedom, and minus twice their restricted log-likelihood at it."""
         factor = np.linalg.cholesky(self.gram)
-        settled = scipy.linalg.solve_triangular(factor, self.score, lower=True)
+        settled = forward(factor, self.score)
         variance = max(self.chi2 - float(settled @ settled), np.finfo(float).tiny) / freedom
         return variance, float(freedom * np.log(variance) + 2 * np.log(factor.diagonal()).sum())
 
@@ -126,7 +128,7 @@ class VarianceComponents:
         whole *= size
         whole[np.diag_indices(len(here))] += 1.0
         factor = _factor(whole)
-        along = scipy.linalg.solve_triangular(factor, size * self.score[here], lower=True)
+        along = forward(factor, size * self.score[here])
         return FunctionPosterior(here, size, factor, along, max(self.chi2 - float(along @ along), LEAST_LEFT))
 
     def level(self, variance: np.ndarray) -> float:
@@ -239,7 +241,7 @@ class VarianceComponents:
             i = np.flatnonzero(self.part == k)
             own = self.gram[i]
             along = (posterior.size * own[:, posterior.here]).T
-            taken = scipy.linalg.solve_triangular(posterior.factor, along, lower=True)
+            taken = forward(posterior.factor, along)
             gram, score = own[:, i] - taken.T @ taken, self.score[i] - taken.T @ posterior.along
             beside[k] = gram, score, posterior.chi2
         return beside
