@@ -75,6 +75,14 @@ def test_an_expected_size_is_the_mean_of_its_posterior(floor):
     sizes = components(*case, floor)
     tried = [others + np.array([variance, 0.0, 0.0]) for variance in np.append(0.0, USUAL * SIZES**2)]
     costs = np.array([dense(*case, one, sizes.level(one)) - one.sum() / USUAL for one in tried])
-    weight = np.exp((costs[0] - costs) / 2) * np.append(1.0, PRIOR / 3)
+    weight = np.exp((costs[0] - costs) / 2) * np.append(1.0, PRIOR * 2 / 2)  # one of the two others is found
     expected = weight @ [one[0] for one in tried] / weight.sum()
     assert sizes.expected(others + np.array([0.2, 0.0, 0.0]))[0] == pytest.approx(expected, rel=1e-9)
+
+
+def test_parts_that_are_found_make_others_likelier():
+    """Fails if a part of which the data say nothing is as unlikely beside two that they show as beside none."""
+    design, functions, seen = drawn(np.random.default_rng(7), (0.1, 0.1, 0.0))
+    sizes = components(design, functions * (PART < 2), seen, 1.0)
+    for found, share in (([0.0, 0.0, 0.0], 1 / 4), ([0.1, 0.0, 0.0], 1 / 2), ([0.1, 0.1, 0.0], 3 / 4)):
+        assert sizes.probabilities(np.array(found))[2].sum() == pytest.approx(share)

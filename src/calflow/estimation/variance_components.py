@@ -184,9 +184,8 @@ class VarianceComponents:
     def expected(self, variance: np.ndarray) -> np.ndarray:
         """Return each part's posterior mean variance (n_parts,), beside the others at these variances.
 
-        A priori any part is as likely present as absent, each part alike, with the half-normal prior on its size. With mean
-        variances instead of the likeliest, standard deviations include the variances' uncertainty: of a Student t about 95 % lies
-        within 1.96 of its standard deviations, from three degrees of freedom to very many.
+        With mean variances instead of the likeliest, standard deviations include the variances' uncertainty: of a Student t about
+        95 % lies within 1.96 of its standard deviations, from three degrees of freedom to very many.
         """
         return np.asarray(self.probabilities(variance) @ (USUAL * SIZES**2))
 
@@ -204,9 +203,10 @@ class VarianceComponents:
         probabilities = np.empty((self.n_parts, len(SIZES)))
         for k, (gram, score, chi2) in parts.items():
             fallen, narrowed = explained(*directions(USUAL * gram, np.sqrt(USUAL) * score))
-            cost = self.cost_of_noise(chi2 - fallen) + narrowed
-            likelier = np.clip((self.cost_of_noise(chi2) - cost) / 2, -700, 300)  # than none
-            weight = PRIOR * np.exp(likelier) / self.n_parts
+            likelier = (self.cost_of_noise(chi2) - self.cost_of_noise(chi2 - fallen) - narrowed) / 2  # than none
+            # A priori any number of parts is as likely as any other: those found make others likelier (Scott and Berger 2010).
+            found = np.count_nonzero(np.delete(variance, k))
+            weight = PRIOR * np.exp(np.clip(likelier, -700, 300)) * (1 + found) / (self.n_parts - found)
             probabilities[k] = weight / (1 + weight.sum())
         return probabilities
 
