@@ -140,6 +140,7 @@ class Cell(Record):
         return self
 
     def wrong(self, robot: Robot) -> Iterator[tuple[str, str]]:
+        """Yield each key that does not fit the robot, and why."""
         if self.link_radii is not None and len(self.link_radii) != robot.n_joints:
             yield f"expected {robot.n_joints} radii, one per joint, found {len(self.link_radii)}", "link_radii"
         arm = [robot.joints[i] for i in robot.arm]
@@ -171,6 +172,7 @@ class Cell(Record):
 
 
 def refused_words(refusals: np.ndarray) -> str:
+    """Return in words how many poses each rule rejected first, and how many were accepted, from refusals (n,)."""
     counts = np.bincount(refusals, minlength=len(RULES) + 1)
     reasons = [f"{name} {number}" for name, number in zip(RULES, counts[1:], strict=True) if number]
     return f"the cell allows {counts[0]} of {len(refusals)} poses; refused by {', '.join(reasons) or 'nothing'}"

@@ -122,6 +122,7 @@ def questions(
 
 
 def fitted_share(data: Measurements) -> float:
+    """Return the share of the valid rows that is fitted."""
     return float(data.train.sum() / (data.train | data.held_out).sum())
 
 
@@ -264,6 +265,7 @@ def _together(
 
 
 def poses_table(questions: Sequence[Question], fitted: Fitted) -> pd.DataFrame:
+    """Return diagnose/next_poses.csv: the poses that separate each finding from its rivals, as far as possible."""
     robot = fitted.model.robot
     names = reading_columns(robot)
     sides = [f"approach{i + 1}" for i in robot.driven] if "approach" in fitted.model.given else []
@@ -294,6 +296,7 @@ def poses_table(questions: Sequence[Question], fitted: Fitted) -> pd.DataFrame:
 
 
 def separations_table(questions: Sequence[Question]) -> pd.DataFrame:
+    """Return diagnose/separations.csv: the separation of each finding from each rival, and what to do."""
     return to_frame([row for asked in questions for row in asked.separations], SeparationRow)
 
 

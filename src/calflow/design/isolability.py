@@ -318,6 +318,7 @@ def _indistinguishable(cause: Cause, catalogue: Catalogue, tested: Mapping[Place
 
 
 def isolability_summary(table: pd.DataFrame) -> str:
+    """Return how many causes are detected, and how many of these are distinguished from all others."""
     tested = table[table["part"].fillna("") != ""]
     seen = int(tested.loc[tested["rival"].fillna("") == "", "enough"].sum())
     separable = tested.groupby(["cause", "part"])["enough"].all()
@@ -325,6 +326,7 @@ def isolability_summary(table: pd.DataFrame) -> str:
 
 
 def isolability_gaps(table: pd.DataFrame) -> list[str]:
+    """Return in words the causes' worst gaps that an addition closes, the widest first."""
     gaps = table[table["worst"] & (table["addition"].fillna("") != "")]
     return list(gaps.sort_values("chance", kind="stable")["words"])
 

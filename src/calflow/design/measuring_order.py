@@ -130,6 +130,7 @@ def drift_bias(plan: PlanInformation, order: np.ndarray, moved: np.ndarray) -> t
 
 
 def drift_words(pulls: Sequence[DriftPull]) -> list[str]:
+    """Return in words the bias by each drift in the chosen order, and in the other one."""
     sentences = []
     for worst in (pull for pull in pulls if pull.taken):
         (other,) = (pull for pull in pulls if pull.drifting == worst.drifting and not pull.taken)
@@ -172,6 +173,7 @@ def reached(readings: np.ndarray, reached_from: np.ndarray | None) -> tuple[np.n
 
 
 def sides_words(poses: pd.DataFrame, effects: Sequence[str]) -> list[str]:
+    """Return in words the sides of approach in poses.csv, if any effect depends on them."""
     if not effects:
         return []
     names = listed([cause_words(effect).name for effect in effects])

@@ -223,6 +223,7 @@ class NextStep:
 
     @property
     def results(self) -> Results:
+        """poses.csv and verdict.json."""
         return Results({"poses.csv": self.poses}, {"verdict.json": to_document(self.verdict)})
 
 
@@ -342,6 +343,7 @@ def numbered_on(table: pd.DataFrame, data: Measurements | None) -> pd.DataFrame:
 
 
 def in_mm(length: float | None) -> float | None:
+    """Return a length [m] in mm; None for None."""
     return None if length is None or not np.isfinite(length) else 1e3 * length
 
 

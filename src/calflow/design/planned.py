@@ -70,6 +70,7 @@ class Planned:
 
     @property
     def sd(self) -> np.ndarray:
+        """Standard deviation of each residual, shape (n_units,)."""
         units = self.observation.units
         return np.array([self.sigma if unit == units[0] else self.further[unit] or unit.usual for unit in units])
 
@@ -108,6 +109,7 @@ class Task:
 
     @staticmethod
     def of(readings: np.ndarray, payloads: Sequence[str], marker: str) -> Task:
+        """Return the task of joint readings (n, n_joints), each under each payload."""
         return Task(np.tile(readings, (len(payloads), 1)), np.repeat(payloads, len(readings)), marker)
 
     def criterion(self, model: Model) -> ToolError:

@@ -151,6 +151,7 @@ class SearchResult:
 
     @property
     def could_gain(self) -> float:
+        """The largest relative reduction of the loss by any other choice."""
         return 1 - self.bound / self.loss
 
 

@@ -93,6 +93,7 @@ class Skeleton:
 
     @property
     def marker(self) -> np.ndarray:
+        """The reflector, (n, 3)."""
         return self.nodes[:, -1]
 
     @classmethod
@@ -105,6 +106,7 @@ class Skeleton:
         return cls(lines, nodes, axes, flange.transpose(0, 2, 1), bars)
 
     def part(self, which: np.ndarray) -> Self:
+        """Return the skeletons of a subset of poses, given by indices or a mask (n,)."""
         return type(self)(self.lines, *(getattr(self, field.name)[which] for field in fields(self)[1:]))
 
 

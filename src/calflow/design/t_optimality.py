@@ -29,6 +29,7 @@ class TCriterion:
 
     @property
     def separation(self) -> float:
+        """The separation [sd]: the norm of the residual of the best fit."""
         return float(np.sqrt(max(self.squared, 0.0)))
 
     @property
@@ -39,6 +40,7 @@ class TCriterion:
 
     @property
     def chance(self) -> float:
+        """The probability that the other explanation is excluded."""
         return float(scipy.stats.norm.cdf(self.lead))
 
 

@@ -56,6 +56,7 @@ class LackingCause:
         return np.linalg.cholesky(np.tensordot(self.sizes, second, 1))
 
     def drawn(self, number: int, rng: np.random.Generator) -> np.ndarray:
+        """Draw its parameters (number, n)."""
         size = rng.choice(len(self.sizes), number, p=self.sizes)
         spread = np.linalg.cholesky(self.covariance)[size] @ rng.standard_normal((number, self.mean.shape[1], 1))
         return np.asarray(self.mean[size] + spread[:, :, 0])

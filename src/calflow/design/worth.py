@@ -69,6 +69,7 @@ class PlanInformation:
 
     @cached_property
     def covariance(self) -> np.ndarray:
+        """The posterior covariance with the poses, (n_parameters, n_parameters)."""
         return np.linalg.inv(information(self.own, self.prior))
 
     @property
@@ -150,6 +151,7 @@ class PlanInformation:
 
 
 def worth_words(worth: Sequence[Worth]) -> list[str]:
+    """Return in words the two most effective additions; worth: the plan itself first."""
     return [
         f"{row.addition}: the tool's standard deviation is {rounded(row.expected_sd_mm)} mm instead of "
         f"{rounded(worth[0].expected_sd_mm)} ({row.gain_percent:.0f} % less)"

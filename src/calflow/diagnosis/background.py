@@ -60,6 +60,7 @@ class Field(SmoothFunction):
 
     @property
     def spectrum(self) -> np.ndarray:
+        """Equal standard deviations, which make the whole as large as one function at a part's usual variance."""
         return np.full(len(self.declared), (USUAL * self.n_waves) ** -0.5)
 
     @property

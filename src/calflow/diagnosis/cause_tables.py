@@ -280,6 +280,7 @@ class CauseProbability:
 
 
 def models_table(models: Sequence[ModelInReach]) -> pd.DataFrame:
+    """Return the table of `ModelRow`s of the models in reach, of which the first is the one found."""
     rows = [
         ModelRow(
             model=number, change=model.change, causes=tuple(cause.id for cause in model.causes),
@@ -294,6 +295,7 @@ def models_table(models: Sequence[ModelInReach]) -> pd.DataFrame:
 
 
 def cause_table(models: Sequence[ModelInReach]) -> pd.DataFrame:
+    """Return the table of `CauseProbability`s of the models in reach, of which the first is the one found."""
     acting = {cause.place: cause for model in reversed(models) for cause in reversed(model.causes)}
     rows = []
     for place, cause in reversed(acting.items()):

@@ -69,6 +69,7 @@ class FittedTrial(Trial[Cause]):
 
     @cached_property
     def own_findings(self) -> tuple[Detection[Cause], ...]:
+        """Its causes, each with the scores of its own place alone."""
         family = self.first.family
         return tuple(self.linearisation.finding(cause, family, [cause.place]) for cause in self.causes)
 
@@ -80,6 +81,7 @@ class FittedTrial(Trial[Cause]):
         return replace(self, fitted=self.fitted.with_causes(causes, start, added.explained))
 
     def finest(self, score: Score[Cause]) -> Score[Cause]:
+        """Return the score of a candidate's best form beside the causes, between its neighbours in the scan."""
         if not (finer := self._finer(score.cause)):
             return score
         near = Linearisation.at(self.fitted, (score.cause, *finer)).forms(self.causes, score.cause.place)
@@ -151,6 +153,7 @@ class FittedTrial(Trial[Cause]):
 
 
 def extend(start: Fitted, catalogue: Catalogue, search: Stepwise) -> FittedTrial:
+    """Return the model with the causes that it lacks, by a stepwise search with independent errors."""
     first = Linearisation.at(start, catalogue.effects).screened(search.rng)
     return search.best(FittedTrial(first, start, catalogue))
 

@@ -134,10 +134,12 @@ class Finding:
 
     @property
     def rivals(self) -> tuple[NamedCause, ...]:
+        """Causes that could explain the data instead, or that unexplained structure may be."""
         return tuple(map(NamedCause, self.rival_causes, self.rival_joints))
 
     @property
     def is_cause(self) -> bool:
+        """Whether it is a cause, or one of several, not a data fault or unexplained structure."""
         return self.status in ("named", "one_of")
 
     @property
@@ -152,6 +154,7 @@ class Finding:
 
     @property
     def is_structure(self) -> bool:
+        """Whether it is unexplained structure, which depends on an input."""
         return self.status == "unexplained" and bool(self.inputs)
 
     @property
@@ -198,6 +201,7 @@ class Finding:
 
     @property
     def name_probability(self) -> float:
+        """The probability of its name."""
         return self.family_probability if self.of_family else self.probability
 
     @property

@@ -115,10 +115,12 @@ class Fitted:
 
     @property
     def covariance(self) -> np.ndarray:
+        """Covariance of the estimate, smooth errors included, shape (n_parameters, n_parameters)."""
         return self._beside[0]
 
     @cached_property
     def left_out(self) -> LeftOut:
+        """Leave-one-pose-out errors of the training poses."""
         return left_out(self.fit, self.poses)
 
     @cached_property
@@ -128,12 +130,14 @@ class Fitted:
 
     @property
     def intraclass(self) -> float:
+        """Intraclass correlation of the errors of markers at one standstill."""
         if self.shared is not None:
             return self.shared
         return self.intraclass_likelihood.correlation if self.intraclass_likelihood else 0.0
 
     @property
     def beside(self) -> Regressors[Cause]:
+        """The model linearised without further effects, beside its background."""
         return self.alone.beside(self.background, self.problem.weight)
 
     @cached_property
@@ -190,6 +194,7 @@ class Fitted:
         return tuple(effect for effect in self.model.effects if not isinstance(effect, Cause))
 
     def own(self, cause: Cause) -> tuple[np.ndarray, np.ndarray]:
+        """Return the indices of a cause's parameters among the free ones, and their estimates."""
         free = np.flatnonzero(~self.fit.at_bound)
         columns = np.flatnonzero(np.isin(free, self.model.columns(cause)))
         return columns, self.fit.estimate[free[columns]]

@@ -39,6 +39,7 @@ class Stack:
     bounds: np.ndarray
 
     def only(self, which: np.ndarray) -> Self:
+        """Return some of the candidates, given by indices (n,)."""
         return replace(self, **{field.name: getattr(self, field.name)[which] for field in fields(self)})
 
 

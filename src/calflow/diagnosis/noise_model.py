@@ -115,13 +115,16 @@ class NoiseLevels:
         return f"the noise differs between {between}: up to {rounded(largest)} times the quietest one's"
 
     def factor(self, data: Measurements) -> np.ndarray:
+        """Return each row's factor (n_rows,)."""
         of_row = zip(data.series_number, data.labels(self.label), strict=True)
         return np.array([self.factors[series].get(name, 1.0) for series, name in of_row])
 
     def sigma(self, data: Measurements, device: Noise) -> np.ndarray:
+        """Return each row's standard deviation per axis [leading unit]."""
         return device.sigma * self.factor(data)
 
     def devices(self, devices: Sequence[SeriesNoise], data: Measurements) -> tuple[SeriesNoise, ...]:
+        """Return the noise of each series with these factors."""
         factor = self.factor(data) ** 2
         return tuple(
             replace(
@@ -134,6 +137,7 @@ class NoiseLevels:
         )
 
     def levelled(self, _: Fitted) -> NoiseLevels:
+        """Return the factors themselves: they are those of a model fitted with them."""
         return self
 
     def doubts(self, data: Measurements, stated: Noise) -> Iterator[NoiseDoubt]:
@@ -207,6 +211,7 @@ def _likelier(one: Kind | None, other: NoiseLevels | None) -> Kind | NoiseLevels
 
 
 def levels_of_residuals(fitted: Fitted) -> NoiseLevels | None:
+    """Return the noise of sessions or markers by the residuals of a model fitted with it, without their smooth part."""
     return _likelier(*(_settled(fitted, each) for each in SetUps.every(fitted.data)))
 
 

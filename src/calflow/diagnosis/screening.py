@@ -259,6 +259,7 @@ class Screening(Generic[H]):
 
     @cached_property
     def scores(self) -> list[Score[H]]:
+        """Every visible candidate's score, best first."""
         scores = []
         for stack in self._stacks:
             left = self.degrees_of_freedom - stack.degrees_of_freedom

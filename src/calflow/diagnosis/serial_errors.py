@@ -108,6 +108,7 @@ class SerialErrors:
 
     @property
     def log_determinant(self) -> float:
+        """Log-determinant of V."""
         return float(2 * np.log(self._factor[0]).sum())
 
     def whitened(self, values: np.ndarray) -> np.ndarray:
@@ -143,9 +144,11 @@ class RestrictedLikelihood:
         return none.with_prior(self.pull, np.full(len(self.pull), self.level**2)).products
 
     def variance(self, errors: SerialErrors | None) -> float:
+        """Return the maximum-likelihood variance of the errors."""
         return self._equations(errors).restricted_likelihood(self.degrees_of_freedom)[0]
 
     def cost(self, errors: SerialErrors | None) -> float:
+        """Return minus twice the restricted log-likelihood."""
         restricted = self._equations(errors).restricted_likelihood(self.degrees_of_freedom)[1]
         return restricted + (errors.log_determinant if errors else 0.0)
 

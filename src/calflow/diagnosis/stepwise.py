@@ -66,9 +66,11 @@ class CauseAcceptance:
         return score.cost < 0 and score.share > family.material and family.p(score) < self.false_alarm
 
     def passing(self, scores: Sequence[Score[H]], family: Family) -> list[Score[H]]:
+        """Return the scores of accepted candidates, in their order."""
         return [score for score in scores if self.accepts(score, family)]
 
     def keeps(self, finding: Detection) -> bool:
+        """Whether a cause of the model would be accepted again."""
         return any(score.cause == finding.cause and self.accepts(score, finding.family) for score in finding.scores)
 
     def better(self, finding: Detection[H]) -> Score[H] | None:
@@ -82,6 +84,7 @@ Kin = tuple[str, int]  # a family and the joint (0 for none) where its members a
 
 
 def kindred(causes: Sequence[H]) -> dict[Kin, list[H]]:
+    """Return the causes of each family at each joint, if there are several."""
     groups: dict[Kin, list[H]] = {}
     for cause in causes:
         if cause.family:
@@ -169,6 +172,7 @@ class Stepwise:
         return None
 
     def stands(self, trial: Trial[H]) -> bool:
+        """Whether each of a trial's causes would be accepted again."""
         return all(map(self.acceptance.keeps, trial.own_findings))
 
     def exchanges(self, trial: Trial[H]) -> Iterator[Proposal[H]]:
@@ -280,6 +284,7 @@ def _difference(before: Sequence[H], after: Sequence[H]) -> str:
 
 
 def words(cause: H) -> str:
+    """Return the name of a cause for a log line."""
     return " ".join(filter(None, (cause.id, cause.part, f"({cause.detail})" if cause.detail else "")))
 
 

@@ -49,6 +49,7 @@ class Detection(Generic[H]):
 
     @property
     def p(self) -> float:
+        """Family-wise p-value of the cause."""
         return self.family.p(self.own)
 
 
@@ -135,6 +136,7 @@ class Linearisation(Generic[H]):
         return Detection(cause, tuple(self.apart([cause], where).scores), family)
 
     def forms(self, causes: Sequence[H], place: Place) -> list[Score[H]]:
+        """Return the scores of all forms of a place beside the given causes, best first."""
         return self.tested_with(causes, [place]).scores
 
     def _cost(self, gone: Sequence[H], cause: H) -> float:

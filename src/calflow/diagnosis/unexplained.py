@@ -262,6 +262,7 @@ class Oscillation(SmoothFunction):
 
 
 def decoys(fitted: Fitted) -> list[SmoothFunction]:
+    """Return the decoys for a fitted model's rows."""
     data, robot = fitted.data, fitted.data.robot
     turning = [i for i, joint in enumerate(robot.joints) if joint.kind == "revolute"]
     chosen: list[SmoothFunction] = [JointField(robot, (i,)) for i in turning]
@@ -338,6 +339,7 @@ class Standstills:
 
     @cached_property
     def variance(self) -> np.ndarray:
+        """The accepted variances (n_parts,)."""
         return self.components.accepted()
 
     @property

@@ -57,6 +57,7 @@ class Rival(Generic[H]):
 
     @property
     def cause(self) -> H | None:
+        """The best variant, if it could be tested."""
         return self.score.cause if self.score else None
 
 
@@ -151,6 +152,7 @@ def _in_its_place(finding: Detection[H], untestable: Collection[str]) -> list[tu
 
 
 def named(cause: Hypothesis | Rival) -> NamedCause:
+    """Return the id of a cause, or of a rival, with its joint."""
     return NamedCause(cause.id, cause.joint)
 
 
@@ -412,4 +414,5 @@ def deployed_model(extended: Fitted, verdicts: Sequence[Verdict]) -> Fitted | No
 
 
 def is_certain(verdict: Verdict, fitted: Fitted) -> bool:
+    """Whether a cause is named, and its amplitude differs significantly from zero, averaged over its forms."""
     return verdict.status == "named" and found_amplitude(verdict, fitted).differs_from_zero

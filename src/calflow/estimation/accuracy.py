@@ -226,6 +226,7 @@ def distances(error: np.ndarray) -> np.ndarray:
 
 
 def mean_rms_max(size: np.ndarray) -> tuple[float, float, float]:
+    """Return the mean, the root mean square and the largest of sizes (n,)."""
     return float(size.mean()), float(np.sqrt((size**2).mean())), float(size.max())
 
 
@@ -274,6 +275,7 @@ def gain(
 
 
 def residuals(error: np.ndarray, data: Measurements) -> pd.DataFrame:
+    """Return the table of `Residual`s for `leading_errors` (n_rows, n_axes)."""
     units, series = leading_units(data), data.series_number
     lengths = np.array([unit == METRE for unit in units])[series]
     size = np.array([unit.scale for unit in units])[series] * distances(error)

@@ -278,6 +278,7 @@ class CalibratedModel:
         return self.model.point(self.estimate, conditions) + self.field_correction(conditions)
 
     def field_correction(self, conditions: np.ndarray) -> np.ndarray:
+        """Return the residual field's correction of positions, shape (n_rows, 3) [m]; zero without a field."""
         return self.field.correction(self._readings(conditions)) if self.field else np.zeros((conditions.shape[1], 3))
 
     def _beside_field(self, variance: np.ndarray, conditions: np.ndarray) -> np.ndarray:
@@ -352,9 +353,11 @@ class CalibratedModel:
         return ErrorsInUnit(error / root, whole + of_choice, left, basis.shape[2])
 
     def promised_distance(self, conditions: np.ndarray) -> np.ndarray:
+        """Return the predictive standard deviation of positions: root mean square distance, shape (n_rows,) [m]."""
         return np.asarray(np.sqrt(self.position_variance(conditions).sum(axis=1)))
 
     def distance_moved(self, conditions: np.ndarray) -> np.ndarray:
+        """Return the distance between nominal and calibrated prediction, shape (n_rows,) [m]."""
         moved = self.model.point(self.model.nominal, conditions) - self.expected_point(conditions)
         return np.asarray(np.linalg.norm(moved, axis=1))
 

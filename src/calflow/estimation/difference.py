@@ -47,6 +47,7 @@ class Difference:
 
     @property
     def sd(self) -> np.ndarray:
+        """Standard deviations of the differences (n,)."""
         return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
 
     @cached_property
@@ -124,6 +125,7 @@ class LikelihoodEstimate:
 
     @property
     def sd(self) -> np.ndarray:
+        """Marginal standard deviations (n,)."""
         return np.sqrt(np.diag(self.covariance))
 
     @property

@@ -60,6 +60,7 @@ class ErrorModel:
         return ErrorModel((), none, none, np.zeros((0, n_parameters)), np.zeros((0, 0)), np.zeros(n_parameters), rest)
 
     def only(self, keep: Callable[[SmoothFunction], bool]) -> ErrorModel:
+        """Return a copy with some functions alone."""
         kept = self._of(keep)
         return replace(
             self,
@@ -184,6 +185,7 @@ class SmoothAmplitude:
 
 
 def error_table(errors: ErrorModel, model: Model) -> pd.DataFrame:
+    """Return the table of `SmoothAmplitude`s."""
     told = [f"told {n + 1}" for n in range(errors.told.shape[1])]
     slopes = [f"slope {parameter.name}" for parameter in model.parameters]
     first = [np.concatenate([[size, 0.0], errors.offset, np.zeros(len(told))]) for _, size in errors.rest.sizes]
@@ -319,6 +321,7 @@ class SmoothVariances:
 
     @property
     def inputs(self) -> tuple[str, ...]:
+        """The inputs of the parts with non-zero variance."""
         there = (inputs for (inputs, _), variance in zip(self.kinds, self.variance, strict=True) if variance > 0)
         return tuple(dict.fromkeys(chain.from_iterable(there)))
 
@@ -330,6 +333,7 @@ class SmoothVariances:
 
     @cached_property
     def part(self) -> np.ndarray:
+        """Index of each amplitude's part, (n_functions,)."""
         return np.array([k for k, _ in self.of_amplitude], dtype=int)
 
     @cached_property
@@ -344,6 +348,7 @@ class SmoothVariances:
 
     @cached_property
     def components(self) -> VarianceComponents:
+        """The restricted likelihood of the variances."""
         result, problem, model = self.result, self.result.problem, self.result.model
         floor = float(np.median((problem.sigma / problem.total) ** 2)) if self.known else 0.0
         n, none = len(result.estimate), np.zeros(len(self.part))
@@ -375,6 +380,7 @@ class SmoothVariances:
         return self._visible(self.components.expected(self.accepted))
 
     def drawn(self, number: int, rng: np.random.Generator) -> np.ndarray:
+        """Draw variances (number, n_parts) from the posterior of which `variance` is the mean."""
         return self._visible(self.components.drawn(self.accepted, number, rng))
 
     @property

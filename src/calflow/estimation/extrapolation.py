@@ -57,6 +57,7 @@ class Later(Wandering):
     sessions: tuple[tuple[float, float], ...] = ()
 
     def gone(self, row: Row) -> ca.SX:
+        """Return the standard deviation at a row."""
         if not (at := row.time).nnz():
             return ca.SX(self.any_time) if self.any_time else ca.SX(1, 1)
         if self.sessions:
@@ -110,6 +111,7 @@ class Elsewhere(ActingEffect, SmoothFunction):
         return 1 - same
 
     def acting(self, p: ca.SX, row: Row) -> tuple[Effect, ca.SX]:
+        """Return the function, times the root of that probability."""
         return self.same, p * ca.sqrt(self.share(row.q))
 
 
@@ -137,6 +139,7 @@ class Cooling(SmoothFunction):
         return kind.of_figures(self.robot, self.once)
 
     def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
+        """Return the dimensions with the standard deviation of the loss."""
         if not row.time.nnz():
             return dims
         cause, constant = Cause(self.robot, self.warming, self.part), self.warming.constant
@@ -171,6 +174,7 @@ class Undated(ActingEffect, SmoothFunction):
         return Cause(self.robot, replace(self._step, between=NEVER_YET), self.part)
 
     def acting(self, p: ca.SX, row: Row) -> tuple[Effect, ca.SX]:
+        """Return the step that is to come, with its values times the standard deviation of whether it is."""
         to_come = self._step.to_come(row)
         return self._before, ca.DM(self.values) * p * ca.sqrt(to_come * (1 - to_come))
 
@@ -220,6 +224,7 @@ class BeyondRail(Beyond):
 
     @property
     def spectrum(self) -> np.ndarray:
+        """The sizes of shifts, then of turns, over an amplitude's usual one."""
         sizes = [self.shift, *([self.turn] if self.turn else [])]
         return np.repeat(sizes, 6 * BEYOND_WAVES) / (SIZE * BEYOND_WAVES**0.5)
 
@@ -247,6 +252,7 @@ class Curve:
 
     @classmethod
     def of(cls, cause: Cause, estimate: np.ndarray, covariance: np.ndarray) -> Self | None:
+        """Return a cause's curve; None without one."""
         travel = cause.effect.travel(cause.joint) if cause.joint else None
         if travel is None:
             return None
@@ -255,10 +261,12 @@ class Curve:
 
     @cached_property
     def weight(self) -> np.ndarray:
+        """Posterior probability of each of CANDIDATE_SIZES, (n_sizes,)."""
         return _size_weights(self.estimate, np.diag(self.covariance), self.usual)
 
     @property
     def rms_elsewhere(self) -> float:
+        """Root mean square of another curve of the same kind."""
         return self.usual_rms * float(np.sqrt(self.weight @ CANDIDATE_SIZES**2))
 
     @property

@@ -54,6 +54,7 @@ class FieldGain:
 
     @property
     def blocks(self) -> int:
+        """Number of blocks that were left out in turn."""
         return len(np.unique(self.block))
 
     @property
@@ -67,6 +68,7 @@ class FieldGain:
 
     @property
     def gains(self) -> bool:
+        """Whether the correction is to be applied."""
         return self.p < FALSE_GAIN
 
     @property
@@ -148,6 +150,7 @@ def blocks(readings: np.ndarray) -> np.ndarray:
 def field_results(
     calibrated: CalibratedModel, field: ResidualField | None, gain: FieldGain, data: Measurements
 ) -> Results:
+    """Return the field learnt from a model without one, and its gain, as the run folder keeps them."""
     tables = {
         POSES: pose_table(field, calibrated.model.robot),
         "residual_field/accuracy.csv": _accuracy(calibrated, field, gain, data),
@@ -156,6 +159,7 @@ def field_results(
 
 
 def field_summary(field: ResidualField | None, gain: FieldGain) -> FieldSummary:
+    """Return the hyperparameters of a field, and its gain."""
     return FieldSummary(
         kind="not physical", applied=field is not None, statement=gain.statement, poses=gain.poses, blocks=gain.blocks,
         p=gain.p,

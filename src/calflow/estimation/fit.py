@@ -90,6 +90,7 @@ class Fit:
 
     @cached_property
     def at_bound(self) -> np.ndarray:
+        """Which parameters sit on a bound, shape (n_parameters,)."""
         lower, upper = self.model.bounds.T
         margin = AT_BOUND * np.sqrt(np.diag(self._inverse(np.full(len(self.estimate), True))))
         return (self.estimate < lower + margin) | (self.estimate > upper - margin)

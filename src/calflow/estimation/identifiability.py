@@ -80,6 +80,7 @@ def rank_by_effect(fit: Fit) -> dict[str, int]:
 
 
 def left_open(fit: Fit) -> pd.DataFrame:
+    """Return the table of `Statement`s on what the data leave open."""
     parameters = fit.model.parameters
     names = [parameter.name for parameter in parameters]
     scaled = _scaled(fit)
@@ -111,6 +112,7 @@ def left_open(fit: Fit) -> pd.DataFrame:
 
 
 def correlations(fit: Fit) -> pd.DataFrame:
+    """Return the pairs of parameters whose posterior correlation is strong, strongest first."""
     covariance = fit.covariance
     sd = np.sqrt(np.diag(covariance))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -124,6 +126,7 @@ def correlations(fit: Fit) -> pd.DataFrame:
 
 
 def wrong_counts(robot: Robot, effects: Sequence[str], count: Mapping[str, int]) -> Iterator[tuple[str, str]]:
+    """Yield each effect whose number of parameters to keep is impossible, and why."""
     for effect, asked in count.items():
         most = len(build(robot, (effect,)).parameters) if effect in effects else 0
         if effect not in effects:
@@ -215,6 +218,7 @@ def _directions(
 
 
 def scale_words(wholly: bool) -> str:
+    """Return the sentence that the data do not determine the robot's scale."""
     return (
         f"the data say {_little(wholly)} about how large the robot is, only about its proportions. "
         "One known length would settle it, such as the distance between two sockets, a bar or a wire"

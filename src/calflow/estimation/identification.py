@@ -65,6 +65,7 @@ class FittedEffects:
 
     @cached_property
     def known(self) -> CalibratedModel:
+        """The calibrated model, from which later stages start."""
         used, fitted = self.data.only(self.data.train | self.data.held_out), self.data.joints[self.data.train]
         return CalibratedModel(
             self.model, self.fit.estimate, self.fit.covariance, self.fit.at_bound, series_noise(self.noise, self.data),

@@ -180,6 +180,7 @@ class LeastSquares:
 
     @property
     def size(self) -> int:
+        """Number of residuals."""
         return sum(block.n_units * len(block.rows) for block in self.blocks)
 
     def _stacked(self, values: Callable[[SeriesBlock], np.ndarray | Sequence[float]]) -> np.ndarray:
@@ -242,6 +243,7 @@ class LeastSquares:
         return float(np.sqrt((self.total[here] ** 2 - self.sigma[here] ** 2).max(initial=0.0)))
 
     def parts(self) -> Iterator[SeriesBlock]:
+        """Yield the rows of all series, part by part (see `SeriesBlock.parts`)."""
         for block in self.blocks:
             yield from block.parts()
 

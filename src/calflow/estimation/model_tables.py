@@ -248,6 +248,7 @@ def model_tables(stage: str, calibrated: CalibratedModel) -> dict[str, pd.DataFr
 
 
 def alternative_models(alternatives: Sequence[Alternative], model: Model) -> tuple[AlternativeModel, ...]:
+    """Return the alternatives to a model as its summary holds them."""
     return tuple(
         AlternativeModel(
             probability=other.probability, instead_of=model.causes.index(other.gone) + 1 if other.gone else 0,
@@ -259,6 +260,7 @@ def alternative_models(alternatives: Sequence[Alternative], model: Model) -> tup
 
 
 def effect_table(effects: Sequence[Effect]) -> pd.DataFrame:
+    """Return the table of `ModelEffect`s."""
     return to_frame(map(_model_effect, effects), ModelEffect)
 
 
@@ -269,6 +271,7 @@ def _model_effect(effect: Effect) -> ModelEffect:
 
 
 def observation_table(observed: Sequence[Observation]) -> pd.DataFrame:
+    """Return the table of `ModelObservation`s."""
     rows = (ModelObservation(kind=each.id, observation=json.dumps(asdict(each))) for each in observed)
     return to_frame(rows, ModelObservation)
 
@@ -337,6 +340,7 @@ def calibrated(robot: Robot, results: Results, given: tuple[str, ...]) -> Calibr
 
 
 def read_effects(rows: Sequence[ModelEffect], robot: Robot) -> tuple[Effect, ...]:
+    """Return the effects that rows name."""
     effects: list[Effect] = []
     for row in rows:
         whole = _kind(row.effect).of_figures(robot, row.variant)
@@ -345,6 +349,7 @@ def read_effects(rows: Sequence[ModelEffect], robot: Robot) -> tuple[Effect, ...
 
 
 def read_observations(rows: Sequence[ModelObservation]) -> tuple[Observation, ...]:
+    """Return the observations of an `observation_table`."""
     return tuple(adapter(observation_kinds()[row.kind]).validate_json(row.observation) for row in rows)
 
 

@@ -46,6 +46,7 @@ class Scatter:
     freedom: np.ndarray
 
     def only(self, rows: np.ndarray) -> Self:
+        """Return the scatter of a subset of rows, given by a mask or by indices."""
         return replace(self, **{name: value[rows] for name, value in vars(self).items()})
 
     def gathered(self, group: np.ndarray) -> Scatter:
@@ -79,6 +80,7 @@ class PerUnit:
         return dict(self.sizes).get(unit, 0.0)
 
     def having(self, unit: MeasurementUnit, size: float) -> PerUnit:
+        """Return a copy with the size of one unit replaced."""
         return PerUnit(tuple((dict(self.sizes) | {unit: size}).items()))
 
 
@@ -116,6 +118,7 @@ class Noise:
         return any(source != "estimated" for source in self.sources)
 
     def of_series(self, k: int) -> np.ndarray:
+        """Mask of the rows of a series, shape (n_rows,)."""
         return np.full(len(self.sigma), k == 0) if self.series is None else np.asarray(self.series == k)
 
     @property
@@ -123,10 +126,12 @@ class Noise:
         return self.units or (METRE,) * len(self.sources)
 
     def in_unit(self, unit: MeasurementUnit) -> np.ndarray:
+        """Mask of the rows whose sigma is in a unit, shape (n_rows,)."""
         return self._by_series([leading == unit for leading in self.leading])
 
     @property
     def estimated(self) -> np.ndarray:
+        """Mask of the rows whose noise is estimated from the fit's residuals, shape (n_rows,)."""
         return self._by_series([source == "estimated" for source in self.sources])
 
     def _by_series(self, values: Sequence[Any]) -> np.ndarray:
@@ -175,6 +180,7 @@ class Noise:
         return whole.transpose(2, 1, 0).reshape(n * n, -1)
 
     def only(self, rows: np.ndarray) -> Noise:
+        """Return the noise of a subset of rows, given by a mask or by indices."""
         of_rows = {name: value[rows] for name, value in vars(self).items() if isinstance(value, np.ndarray)}
         return replace(self, **of_rows, scatter=self.scatter and self.scatter.only(rows))
 

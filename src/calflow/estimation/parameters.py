@@ -125,6 +125,7 @@ class Parameters(Mapping[str, FittedParameter]):
 
     @classmethod
     def of_model(cls, model: Model) -> Self:
+        """Return a model's parameters before a fit."""
         return cls(tuple(map(FittedParameter.of, model.declared)), _by_name(model.robot))
 
     @classmethod

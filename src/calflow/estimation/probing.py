@@ -98,6 +98,7 @@ class Basis:
 
     @cached_property
     def first(self) -> np.ndarray:
+        """The index of each parameter's first slope."""
         return np.flatnonzero(np.diff(self.column, prepend=-1))
 
     @cached_property
@@ -153,6 +154,7 @@ class Probe:
 
     @property
     def shape(self) -> tuple[int, int]:
+        """Shape of the Jacobian, whose columns are the model's parameters, then those of the effects."""
         return self.problem.size, self.n_parameters + self.width
 
     def parts(self) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
@@ -176,6 +178,7 @@ class Probe:
                 yield rows, part.decorrelated(left.T).ravel(), part.decorrelated(slopes).reshape(-1, self.shape[1])
 
     def whole(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the decorrelated residuals (n,) and the Jacobian of all rows."""
         residual, matrix = np.empty(self.problem.size), np.empty(self.shape)
         for rows, left, slopes in self.parts():
             residual[rows], matrix[rows] = left, slopes
@@ -267,6 +270,7 @@ def _members(parts: Any) -> list[Any]:
 
 
 def stacked(parts: Any) -> ca.SX:
+    """Return all quantities of parts, stacked in one column."""
     return ca.densify(ca.vec(parts)) if isinstance(parts, ca.SX) else ca.vertcat(*map(stacked, _members(parts)))
 
 

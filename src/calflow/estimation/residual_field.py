@@ -47,10 +47,12 @@ class ResidualField:
 
     @cached_property
     def low(self) -> np.ndarray:
+        """Lowest reading of each joint (n_joints,) [rad or m]."""
         return np.asarray(self.nodes.min(axis=0))
 
     @cached_property
     def range(self) -> np.ndarray:
+        """Measured range of each joint (n_joints,) [rad or m]."""
         return np.asarray(np.maximum(np.ptp(self.nodes, axis=0), STILL))
 
     def correction(self, readings: np.ndarray) -> np.ndarray:
@@ -204,6 +206,7 @@ class FieldAccuracy:
 
 
 def pose_table(field: ResidualField | None, robot: Robot) -> pd.DataFrame:
+    """Return the table of `FieldPose`s."""
     n = robot.n_joints
     nodes, left = (field.nodes, field.left) if field else (np.zeros((0, n)), np.zeros((0, 3)))
     columns = dict(zip(_names(robot), (nodes * _factors(robot)).T, strict=True))

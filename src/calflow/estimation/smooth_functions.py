@@ -251,6 +251,7 @@ class Wandering(ActingEffect, SmoothFunction):
         return self.quantity.gives_way
 
     def acting(self, p: ca.SX, row: Row) -> tuple[Effect, ca.SX]:
+        """Return the quantity's change, as much of it as has occurred."""
         return self.quantity, p * self.gone(row)
 
 
@@ -270,6 +271,7 @@ class InTime(Wandering):
         return gone * ca.exp(-ca.fmax(0, at - self.end) / self.time_constant)
 
     def gone(self, row: Row) -> ca.SX:
+        """Return that share, less its average."""
         at = row.time if self.clock == "time" else row.order
         if not at.nnz():
             return ca.SX(1, 1)
@@ -389,6 +391,7 @@ def means(functions: Sequence[SmoothFunction]) -> list[SmoothFunction]:
 
 
 def is_mean(function: SmoothFunction) -> bool:
+    """Whether a function is such a mean or slope."""
     return isinstance(function, OfJoints) and not function.orders
 
 
@@ -415,6 +418,7 @@ def moved_together(problem: LeastSquares, estimate: np.ndarray) -> list[frozense
 
 
 def pairs_of(groups: Sequence[frozenset[int]]) -> list[tuple[int, int]]:
+    """Return all pairs of joints within a group."""
     return sorted({pair for group in groups for pair in combinations(sorted(group), 2)})
 
 

@@ -61,17 +61,21 @@ class NormalEquations:
 
     @property
     def chi2(self) -> float:
+        """Sum of squares rᵀr where all coefficients are zero."""
         return float(self.products[-1, -1])
 
     def only(self, kept: np.ndarray) -> NormalEquations:
+        """Return those of some coefficients, given by indices, the others being zero."""
         kept = np.append(kept, len(self.gram))
         return replace(self, products=self.products[np.ix_(kept, kept)])
 
     def scaled(self, unit: np.ndarray) -> NormalEquations:
+        """Return those of the coefficients in other units (n,)."""
         unit = np.append(unit, 1.0)
         return replace(self, products=unit[:, None] * self.products * unit)
 
     def over(self, level: float) -> NormalEquations:
+        """Return those of residuals whose variance is the level."""
         return replace(self, products=self.products / level)
 
     def about(self, origin: np.ndarray) -> NormalEquations:
@@ -263,6 +267,7 @@ class FunctionPosterior:
 
     @property
     def log_determinant(self) -> float:
+        """Log-determinant of I + their Gram matrix."""
         return 2 * float(np.log(self.factor.diagonal()).sum())
 
     @cached_property

@@ -266,6 +266,7 @@ class Posterior:
 
     @property
     def names(self) -> list[str]:
+        """The parameters' names, the noise's factor last."""
         return [*(parameter.name for parameter in self.calibrated.model.parameters), NOISE]
 
     @cached_property
@@ -310,6 +311,7 @@ class Posterior:
 
     @cached_property
     def predictive(self) -> pd.DataFrame:
+        """Each row's error with its predictive interval (see `sample/predictive.csv`)."""
         return predictive_table(self, self.rng("predictive"))
 
     @cached_property

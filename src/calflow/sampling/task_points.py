@@ -265,6 +265,7 @@ def task_table(
 def task_summary(
     calibrated: CalibratedModel, table: pd.DataFrame, errors: PointErrors, asked: TaskTolerances, notes: tuple[str, ...]
 ) -> TaskSummary:
+    """Return the predicted accuracy over the whole task."""
     together = [
         float(errors.within(asked, alike).all(axis=1).mean()) if asked.anything else None for alike in (False, True)
     ]
