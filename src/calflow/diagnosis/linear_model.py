@@ -156,15 +156,14 @@ class LinearModel(Generic[H]):
         steps = [slice(start, start + DRAWN_AT_ONCE) for start in range(0, residual.shape[1], DRAWN_AT_ONCE)]
         chi2 = (pull**2 / r.precision[:, None]).sum(axis=0)
         gradient = forward(self._factor, pull)
-        score = -self.projected.T @ gradient
         for draws in steps:
             drawn = size[:, None] * residual[:, draws]
             gradient[:, draws] += self.prediction_root @ drawn
             chi2[draws] += (drawn**2).sum(axis=0)
+        score = -self.projected.T @ gradient
         for rows, x in r.matrix.blocks():
-            freed = size[rows] * (x - self.prediction_root[:, rows].T @ self.projected).T  # of what the model imitates
             for draws in steps:
-                score[:, draws] += freed @ residual[rows, draws]
+                score[:, draws] += x.T @ (size[rows, None] * residual[rows, draws])
         return score, chi2 - (gradient**2).sum(axis=0)
 
     def imitation(self, columns: np.ndarray) -> np.ndarray:
