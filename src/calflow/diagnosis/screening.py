@@ -260,7 +260,7 @@ class Screening(Generic[H]):
     @cached_property
     def scores(self) -> list[Score[H]]:
         """Every visible candidate's score, best first."""
-        scores = []
+        scores = list[Score[H]]()
         for stack in self._stacks:
             left = self.degrees_of_freedom - stack.degrees_of_freedom
             if (freedom := self.whole.regressors.amplitude_freedom) is not None:
@@ -269,13 +269,16 @@ class Screening(Generic[H]):
             left = np.maximum(left, 1.0)
             weighed = self._weighed(stack, self._score_of(stack.columns)[:, :, None], np.array([self.chi2]))
             p = f_test(weighed.squared[:, 0], self.chi2, stack.degrees_of_freedom, self.degrees_of_freedom, left)
-            drops, cost = weighed.drops[:, 0], weighed.cost[:, 0]
-            scores += [
-                Score(self._candidates[member], float(drops[k]), float(drops[k] / self.chi2),
-                      float(p[k]), float(cost[k]), float(stack.share[k]), weighed.estimate[k, :, 0], stack.covariance[k],
-                      stack.information[k], int(stack.degrees_of_freedom[k]), float(left[k]))
-                for k, member in enumerate(stack.members)
-            ]  # fmt: skip
+            drops = weighed.drops[:, 0]
+            columns = (
+                [self._candidates[member] for member in stack.members],
+                *(figure.tolist() for figure in (drops, drops / self.chi2, p, weighed.cost[:, 0], stack.share)),
+                weighed.estimate[:, :, 0],
+                stack.covariance,
+                stack.information,
+                *(number.tolist() for number in (stack.degrees_of_freedom, left)),
+            )
+            scores += map(Score, *columns)
         return sorted(scores, key=lambda score: score.cost)
 
     def _weighed(self, stack: _Tested, score: np.ndarray, chi2: np.ndarray) -> _Evaluated:
