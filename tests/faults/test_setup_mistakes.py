@@ -218,6 +218,20 @@ def test_rows_that_bear_another_payloads_name_are_put_right(measured):
     assert found.table["payload"].tolist() == load.tolist()
 
 
+def test_rows_whose_load_has_a_weight_that_no_payload_has_are_left_out(measured):
+    """Fails if such rows are given the name that comes next, are taken for the robot's, or another row is left out."""
+    load, number = measured.table["payload"].to_numpy(str), np.arange(len(measured))
+    unknown = (load == "half") & (number > 20) & (number < 45)
+    kept = unknown | (load == "none") | ((load == "full") & ((number <= 20) | (number >= 45)))
+    robot = measured.robot
+    payloads = {name: payload for name, payload in robot.payloads.items() if name != "half"}
+    typed = with_columns(measured, payload=np.where(load == "half", "full", load)).only(kept)
+    _, (fault,) = examined(typed.on(replace(robot, payloads=payloads)))
+    assert (fault.cause, fault.action) == ("load-unknown", "left out")
+    assert [made.row - 1 for made in fault.corrections] == np.flatnonzero(unknown[kept]).tolist()
+    assert f"a load of {robot.payloads['half'].mass / robot.payloads['full'].mass:.2g} times" in fault.statement
+
+
 def test_a_load_that_is_heavier_than_stated_is_no_mistyped_name(measured):
     """Fails if rows whose load the robot file states wrongly are given another's name, or rows that are right are."""
     for data in (measured, heavier(measured)):

@@ -16,6 +16,7 @@ from calflow.effects.session_frame import SessionFrame
 from calflow.faults.base import MEASUREMENT_FILE, MISNAMED, ROBOT, SET_UP, Correction, line_in_words, lines_in_words
 from calflow.faults.mistake import ARBITRARY, LOG_ODDS, Mistake, exchanged_names, row_mistakes
 from calflow.faults.rough import FAR_BETTER, lengths, level, motion, rigid_errors, rigid_sums, split_errors
+from calflow.faults.segments import states
 from calflow.faults.setup import FittedSetup, Setup
 from calflow.files.words import listed, rounded
 from calflow.measurements.measurements import Measurements, sessions_of, spaced
@@ -31,6 +32,7 @@ FITTED = 4  # largest number of mistakes in some rows that are fitted
 SAME = 0.05  # share of rows below whose difference two subsets are the same
 SMALL = 1e-5  # rad or m: difference step of a joint, and tolerance of its estimated step
 ROUNDS = 12  # largest number of updates of a joint's step, part of which each fit absorbs
+MULTIPLES = np.arange(0.0, 3.0, 0.01)  # of a load's stated mass
 LATEST = 15  # largest shift of payload names, in rows
 BY_SESSION = "state by_session = true in [measurements.station]"
 LEVEL = TILT_BOUND  # rad: a smaller deviation of gravity is a cause
@@ -84,15 +86,16 @@ def loads_misnamed(data: Measurements, as_read: FittedSetup) -> Iterator[Mistake
     Each is a mistake of its own, as likely in any row: by the other name it must be as much likelier.
     """
     rows, every = np.flatnonzero(data.train | data.held_out), np.arange(len(data))
-    names, first = np.unique(data.table["payload"].to_numpy(str)[rows], return_index=True)
+    first = _first_of_names(data, rows)
+    names = data.table["payload"].to_numpy(str)[first]
     if len(names) < 2 or len(rows) > MAX_ROWS:
         return
     some, odds = as_read.setup.at(data, rows), -np.log(len(rows) * (len(names) - 1.0))
-    carrying = [_with_payloads(data, np.full(len(data), row), some) for row in rows[first]]
+    carrying = [_with_payloads(data, np.full(len(data), row), some) for row in first]
     explanation, source = as_read, every
     for _ in range(ROUNDS):
         before, after = explanation.errors_at(some), np.stack([explanation.errors_at(setup) for setup in carrying])
-        other, after = rows[first][after.argmin(axis=0)], after.min(axis=0)
+        other, after = first[after.argmin(axis=0)], after.min(axis=0)
         likelier = explanation.surprise(before) - explanation.surprise(after) > -odds
         better, known, source = likelier & (after < before / FAR_BETTER), source, every.copy()
         source[rows[better]] = other[better]
@@ -104,7 +107,7 @@ def loads_misnamed(data: Measurements, as_read: FittedSetup) -> Iterator[Mistake
         return
     fitting = [
         f"{lines_in_words(line[misnamed][source[misnamed] == row])} fits {f'payload {name}' if name else 'no payload'}"
-        for name, row in zip(names, rows[first], strict=True)
+        for name, row in zip(names, first, strict=True)
         if row in source[misnamed]
     ]
     yield Mistake(
@@ -113,6 +116,51 @@ def loads_misnamed(data: Measurements, as_read: FittedSetup) -> Iterator[Mistake
         tuple(Correction(int(row) + 1, "payload", source=int(source[row]) + 1) for row in misnamed),
         MEASUREMENT_FILE, "correct the file, too",
     )  # fmt: skip
+
+
+def loads_unknown(data: Measurements, as_read: FittedSetup, named: bool) -> Iterator[Mistake]:
+    """Yield the rows whose load weighs one multiple of what is written, by the fit without the mistake.
+
+    named: whether other payloads' names explain rows, than which a multiple has to be likelier.
+
+    They are sought as states of successive rows, each change as likely at any row: a single one is a `payload-step`, a cause.
+    """
+    rows, every = np.flatnonzero(data.train | data.held_out), np.arange(len(data))
+    if len(rows) > MAX_ROWS:
+        return
+    some, change = as_read.setup.at(data, rows), float(np.log(len(rows)))
+    empty, explanation, there = _weighing(0.0, every, some), as_read, np.zeros(len(rows), dtype=bool)
+    for _ in range(ROUNDS):
+        points, known = explanation.predicted(some.conditions), there
+        lifted = explanation.predicted(empty.conditions) - points
+        before = explanation.surprise(lengths(some.position - points))
+        # Deflections are linear in the load.
+        after = explanation.surprise(lengths(some.position - points - (1 - MULTIPLES[:, None, None]) * lifted))
+        gained = (before - after)[:, known] if known.any() else (before - after - change).clip(min=0.0)
+        best = int(gained.sum(axis=1).argmax())
+        there = states(np.stack([before, after[best]]), change) == 1
+        if (there == known).all():
+            break
+        explanation = _weighing(MULTIPLES[best], rows[there], as_read.setup).fitted
+    changes, multiple, theirs = int(np.diff(there).sum()), float(MULTIPLES[best]), there & (after[best] < before)
+    if named:
+        carrying = (_with_payloads(data, np.full(len(data), row), some) for row in _first_of_names(data, rows))
+        before = np.min([explanation.surprise(explanation.errors_at(setup)) for setup in carrying], axis=0)
+    if theirs.sum() < MIN_ROWS or changes < 2 or (before - after[best])[theirs].sum() < -LOG_ODDS - ARBITRARY:
+        return
+    found = rows[theirs]
+    which = lines_in_words(data.table["line"].to_numpy()[found])
+    yield Mistake(
+        "load-unknown", 0, partial(_weighing, multiple, found),
+        f"what was measured in {which} fits a load of {multiple:.2g} times the mass that is written",
+        LOG_ODDS + ARBITRARY - changes * change, tuple(Correction(int(row) + 1) for row in found), MEASUREMENT_FILE,
+        "weigh it, and give these rows a payload of its mass",
+    )  # fmt: skip
+
+
+def _first_of_names(data: Measurements, rows: np.ndarray) -> np.ndarray:
+    """Return, of some rows (n,), the first one of each payload's name."""
+    return rows[np.unique(data.table["payload"].to_numpy(str)[rows], return_index=True)[1]]
 
 
 def _judged_rows(data: Measurements, as_read: FittedSetup) -> Setup:
@@ -134,6 +182,13 @@ def _with_payloads(data: Measurements, of: np.ndarray, setup: Setup) -> Setup:
     """Return the set-up with each row's payload that of another, of (n_rows,)."""
     conditions, loaded = setup.conditions.copy(), Row.spans(data.robot)["payload"]
     conditions[loaded] = data.conditions[loaded, of[setup.numbers]]
+    return replace(setup, conditions=conditions)
+
+
+def _weighing(multiple: float, rows: np.ndarray, setup: Setup) -> Setup:
+    """Return the set-up with the masses of some rows' payloads multiplied."""
+    conditions, loaded = setup.conditions.copy(), Row.spans(setup.model.robot)["payload"]
+    conditions[loaded] *= np.where(np.isin(setup.numbers, rows), multiple, 1.0)
     return replace(setup, conditions=conditions)
 
 

@@ -12,8 +12,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from calflow.effects.geometry import PLACED_BOUND
-from calflow.faults.base import ROBOT, Correction, Fault
-from calflow.faults.changed_setup import causes_of_loads, gravity_elsewhere, loads_late, loads_misnamed, setup_changes
+from calflow.faults.base import ROBOT, Action, Correction, Fault
+from calflow.faults.changed_setup import (
+    causes_of_loads,
+    gravity_elsewhere,
+    loads_late,
+    loads_misnamed,
+    loads_unknown,
+    setup_changes,
+)
 from calflow.faults.implausible import MIN_POSES, nominal_misfit
 from calflow.faults.mistake import LinkDimensions, Mistake, loads, misplaced, mistakes
 from calflow.faults.reference import Reference
@@ -59,14 +66,19 @@ def likeliest_mistakes(data: Measurements, reference: Reference) -> list[Possibl
     setup, as_read = reference.setup, reference.setup.fitted
     if len(setup.seen) < MIN_POSES:
         return []
-    of_figures, of_changes, of_loads = [], [], [*loads_late(data, as_read), *loads_misnamed(data, as_read)]
+    of_figures, of_changes = [], []
+    misnamed = [*loads_misnamed(data, as_read)]
+    of_loads = [*loads_late(data, as_read), *misnamed]
     if as_read.suspicious:
         of_figures = [*misplaced(data, setup), *_screened(data, setup)]
     if reference.fit.scale > PHYSICS or reference.gross.any():
         of_loads += [*loads(data, setup), *gravity_elsewhere(as_read)]
         of_changes = [*setup_changes(data, as_read)]
     candidates = _explaining(as_read, [*of_figures, *of_changes])
-    if explaining := _explaining(as_read, of_loads):
+    explaining = _explaining(as_read, of_loads)
+    named = any(candidate.mistake in misnamed for candidate in explaining)
+    explaining += _explaining(as_read, loads_unknown(data, as_read, named))
+    if explaining:
         candidates += explaining + _explaining(as_read, causes_of_loads(data, as_read))
     least = max((candidate.evidence for candidate in candidates), default=0.0) - MIN_LOG_ODDS
     return sorted((c for c in candidates if c.evidence > least), key=lambda candidate: -candidate.evidence)
@@ -87,8 +99,10 @@ def told(
     mistake, statement = candidates[0].mistake, candidates[0].statement
     where = " or ".join(dict.fromkeys(candidate.mistake.where for candidate in candidates[:MAX_REPORTED]))
     if len(candidates) == 1 and mistake.corrections and all(map(corrects, mistake.corrections)):
-        statement = f"{statement}; corrected for this run only"
-        return (Fault(mistake.id, mistake.joint, (), statement, "corrected", mistake.corrections, where),)
+        known = any(made.quantity or made.source for made in mistake.corrections)
+        statement = f"{statement}; {'corrected for this run only' if known else 'left out'}"
+        action: Action = "corrected" if known else "left out"
+        return (Fault(mistake.id, mistake.joint, (), statement, action, mistake.corrections, where),)
     if len(candidates) > 1:
         several = "; or ".join(
             f"({k}) {candidate.statement}" for k, candidate in enumerate(candidates[:MAX_REPORTED], start=1)
