@@ -29,7 +29,7 @@ VARIANTS = {  # how many forms there are to try, where not one
     "nonlinear-joint-stiffness": 7,
     "loaded-transmission-error": 6,
     "torque-backlash": 2,
-    "joint-eccentricity": 2,
+    "joint-eccentricity": 3,
     "gear-transmission-error": 2,
     "gravity-compensator": 5,
     "gravity-deflection": 2,

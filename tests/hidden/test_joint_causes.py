@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from hidden.causes import Hidden
 from hidden.test_hidden import case, found, only
 
@@ -50,6 +52,18 @@ def test_an_axis_that_wobbles_is_no_eccentricity(tmp_path) -> None:
         seen.causes
     )
     assert seen.unexplained.empty
+
+
+def test_a_disc_that_is_off_centre_and_oval_is_one_eccentricity(tmp_path) -> None:
+    """Breaks if two orders of a joint are put down to the larger one alone, with a wrong size, or to a curve of any form."""
+    discs = only("joint-eccentricity", "periodic-joint-error", "joint-error-map", "gear-ratio-error", "axis-wobble")
+    first, second = Hidden("joint-eccentricity", 3, 2e-4, 1), Hidden("joint-eccentricity", 3, 1.6e-4, 2, seed=1)
+    seen = found(tmp_path, case("serial", first, second, settings=discs), 11).causes
+    assert list(zip(seen["cause"], seen["joint"], seen["detail"], strict=True)) == [
+        ("joint-eccentricity", 3, "orders 1 and 2")
+    ]
+    (finding,) = seen.itertuples()
+    assert abs(finding.estimate - np.hypot(first.size, second.size)) < 3 * finding.sd
 
 
 FORMS = {  # a spring is no eccentricity, and a bearing's pivot not its joint's frame
