@@ -255,10 +255,12 @@ def test_a_device_that_was_set_up_anew_is_no_cause_too_many():
 
 
 def test_a_wider_catalogue_keeps_what_was_weighed(data):
-    """Fails if candidates that were left out of the search come at the price of what a background told."""
+    """Fails if candidates that were left out of the search come at the price of what a background and poses left out told."""
     narrow, wide = (Catalogue.of(data, ("geometry",), TESTED[:more]) for more in (3, 5))
     extended = extend(start(data), narrow, search())
-    told = tuple(replace(finding, unnamed=9.0) for finding in extended.weighed_findings)
+    told = tuple(replace(finding, unnamed=9.0, carries_over=True) for finding in extended.weighed_findings)
     wider = weighed_against(told, replace(extended, catalogue=wide))
-    assert [(finding.cause, finding.unnamed) for finding in wider] == [(finding.cause, 9.0) for finding in told]
+    assert [(finding.cause, finding.unnamed, finding.carries_over) for finding in wider] == [
+        (finding.cause, 9.0, True) for finding in told
+    ]
     assert {score.cause.id for score in wider[0].scores} > {score.cause.id for score in told[0].scores}

@@ -1,7 +1,8 @@
 """The extension: a robot's model with causes by stepwise search, each compared with an unnamed error.
 
 The search first takes errors as independent, then as correlated by a background (see `background`). A cause has to explain the
-data better than the background that would replace it, and to be significant beside it over its whole family.
+data better than the background that would replace it, to be significant beside it over its whole family, and to carry over to
+left-out blocks of training poses (see `cross_validation`).
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from calflow.diagnosis.background import (
     uneven_causes,
     uneven_or_other_forms,
 )
+from calflow.diagnosis.cross_validation import carrying
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.form_error import farthest, with_form_errors
 from calflow.diagnosis.linear_model import LinearModel
@@ -210,8 +212,8 @@ def weighed(
 ) -> tuple[FittedTrial, tuple[Detection[Cause], ...]]:
     """Return the trial of the extended model and its findings, after alternating between the causes found first and background.
 
-    start is the model without them. Causes that the background explains better are dropped, and the search continues from the
-    others until nothing that it finds is left beside those that it began from.
+    start is the model without them. Causes that the background explains better, or that do not carry over, are dropped, and the
+    search continues from the others until nothing that it finds is left beside those that it began from.
     """
     begin, found = FittedTrial(first.first, start, catalogue), first.fitted
     searched, judged = set[frozenset[Cause]](), set[frozenset[Cause]]()
@@ -252,7 +254,11 @@ def weighed(
         search.say(f"{words(hidden)} hardly shows beside the rest")
         ended = ended.with_causes([cause for cause in ended.causes if cause != hidden])
     against = unnamed(ended.fitted, basis, catalogue.variants, varying=uneven_or_other_forms)
-    return ended, tuple(replace(finding, unnamed=against[finding.cause]) for finding in ended.weighed_findings)
+    carries = dict(zip(against, carrying(ended.fitted, basis, against), strict=True)) if against else {}
+    return ended, tuple(
+        replace(finding, unnamed=against[finding.cause], carries_over=carries[finding.cause])
+        for finding in ended.weighed_findings
+    )
 
 
 def _named_instead(trial: FittedTrial, basis: BackgroundBasis, search: Stepwise) -> Cause | None:
@@ -272,9 +278,14 @@ def _named_instead(trial: FittedTrial, basis: BackgroundBasis, search: Stepwise)
 
 
 def _weakest(fitted: Fitted, basis: BackgroundBasis, variants: Mapping[Place, int]) -> Cause | None:
-    """Return the weakest cause that loses against a background, if there is one."""
+    """Return the weakest cause that loses against a background, or else that does not carry over, if there is one."""
     against = unnamed(fitted, basis, variants, lambda cause: cause.effect.named_in())
-    return min((cause for cause in against if against[cause] < 0), key=against.__getitem__, default=None)
+    weakest = sorted(against, key=lambda cause: against[cause])
+    if not weakest or against[weakest[0]] < 0:
+        return next(iter(weakest), None)
+    return next(
+        (cause for cause, holds in zip(weakest, carrying(fitted, basis, weakest), strict=True) if not holds), None
+    )
 
 
 def _searched(begin: FittedTrial, beside: FittedTrial, search: Stepwise) -> FittedTrial:

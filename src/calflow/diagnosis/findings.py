@@ -48,6 +48,7 @@ INPUTS_IN_WORDS = {
     "target": "where on the target a point is",
 }
 RESTS = "comes to rest elsewhere each time, or errs in waves too short for these poses"
+NOT_CARRIED = "; it does not carry over to poses that were left out"
 NOT_DEPLOYED = "; suspected, and left out of the model: it does not help at poses left out in turn"
 
 
@@ -94,6 +95,9 @@ class Finding:
     )
     not_tested: tuple[str, ...] = column(
         "ids of `cannot_tell_from` that these data could not test; `statement` says what a test would take", default=()
+    )
+    carries_over: bool | None = column(
+        "whether it gains in left-out blocks of the training poses; empty: not tested", default=None
     )
     numbers: tuple[int, ...] = column(
         "its numbers among the causes of the extended model, as in `curves.csv`: several where several of one family at one place "
@@ -378,6 +382,7 @@ def _together(rows: Sequence[Finding], verdicts: Sequence[Verdict]) -> Finding:
     names = [f"{cause.title} ({cause.detail})" if cause.detail else cause.title for cause in causes]
     left_out = [name for k, name in zip(order, names, strict=True) if lead.deployed and not rows[k].deployed]
     doubts = f"; suspected, and left out of the model: {' and '.join(left_out)}" if left_out else ""
+    carried = [row.carries_over for row in rows]
     return replace(
         lead, status="one_of", estimate=size, sd=sd, low=whole.low, high=whole.high, p_family=min(row.p_family for row in rows),
         probability=min(row.probability for row in rows),
@@ -387,13 +392,14 @@ def _together(rows: Sequence[Finding], verdicts: Sequence[Verdict]) -> Finding:
         statement=f"{causes[0].effect.family}{_where(causes[0])}: {', and '.join(names)}{doubts}",
         **Finding.of_rivals([*dict.fromkeys(rivals)]),
         not_tested=tuple(dict.fromkeys(name for row in rows for name in row.not_tested)),
+        carries_over=False if False in carried else None if None in carried else True,
         numbers=tuple(number for row in rows for number in row.numbers),
     )  # fmt: skip
 
 
 def _cause(verdict: Verdict, fitted: Fitted, left: UnexplainedStructure | None, number: int, deployed: bool) -> Finding:
     """Return the finding of one cause; left is unexplained structure along the same input, which makes its name uncertain."""
-    cause = verdict.cause
+    cause, carries_over = verdict.cause, verdict.carries_over
     own = fitted.model.columns(cause)
     curve = Curve.of(cause, fitted.fit.estimate[own], fitted.fit.covariance[np.ix_(own, own)])
     size = Amplitude.of_squares(*curve.rms_over_travel) if curve else found_amplitude(verdict, fitted)
@@ -401,6 +407,7 @@ def _cause(verdict: Verdict, fitted: Fitted, left: UnexplainedStructure | None, 
     if left:
         same = _relatives(cause) if is_of_its_curve(left, cause) else [UNEXPLAINED]
         others += [name for name in same if name not in others]
+    doubts = (NOT_CARRIED if carries_over is False else "") + ("" if deployed else NOT_DEPLOYED)
     return Finding(
         status="one_of" if others else verdict.status, cause=cause.id, joint=cause.joint or None, estimate=size.estimate,
         sd=size.sd if size.sd > 0 else NAN, low=size.low, high=size.high, unit=cause.declared[0].unit,
@@ -408,9 +415,9 @@ def _cause(verdict: Verdict, fitted: Fitted, left: UnexplainedStructure | None, 
         family_probability=verdict.of_family if cause.family else NAN,
         cannot_tell_from=tuple(others), detail=_detail(verdict),
         **Finding.of_rivals([named(rival) for rival in verdict.others]),
-        statement=_statement(verdict, left) + ("" if deployed else NOT_DEPLOYED), deployed=deployed,
+        statement=_statement(verdict, left) + doubts, deployed=deployed,
         not_tested=tuple(dict.fromkeys(rival.id for rival in verdict.others if rival.score is None)),
-        numbers=(number,),
+        carries_over=carries_over, numbers=(number,),
     )  # fmt: skip
 
 

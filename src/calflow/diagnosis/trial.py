@@ -22,13 +22,15 @@ from calflow.effects.cause import Cause
 class Detection(Generic[H]):
     """A cause in the extended model, with the scores of all candidates in its place, beside the other causes.
 
-    unnamed: cost of an unnamed error in its place, above its own.
+    unnamed: cost of an unnamed error in its place, above its own; carries_over: whether it gains at left-out blocks of training
+    poses, None where that was not tested.
     """
 
     cause: H
     scores: tuple[Score[H], ...]
     family: Family
     unnamed: float = np.inf
+    carries_over: bool | None = None
 
     @property
     def is_shown(self) -> bool:

@@ -9,6 +9,7 @@ import scipy
 
 from calflow.estimation.accuracy import errors, mean_rms_max
 from calflow.estimation.calibrated_model import CalibratedModel
+from calflow.estimation.leverage import halved
 from calflow.estimation.noise import group_means
 from calflow.estimation.progress import SAME, Draws
 from calflow.estimation.residual_field import (
@@ -135,16 +136,9 @@ def gain_of(readings: np.ndarray, left: np.ndarray, noise: float, rng: np.random
 
 
 def blocks(readings: np.ndarray) -> np.ndarray:
-    """Return each pose's block (n,), from 0: readings (n, n_joints) are halved along their widest axis (Bentley 1975)."""
-    scaled, block = readings / np.maximum(np.ptp(readings, axis=0), STILL), np.zeros(len(readings), dtype=int)
-    for _ in range(min(HALVINGS, int(np.log2(len(readings) / LEAST_POSES)))):
-        upper = np.zeros(len(scaled), dtype=bool)
-        for leaf in np.unique(block):
-            members = np.flatnonzero(block == leaf)
-            along = scaled[members, int(np.argmax(np.ptp(scaled[members], axis=0)))]
-            upper[members[np.argsort(along, kind="stable")[len(members) // 2 :]]] = True
-        block = 2 * block + upper
-    return block
+    """Return each pose's block (n,), from 0, by halving the readings (n, n_joints) repeatedly along their widest axis."""
+    scaled = readings / np.maximum(np.ptp(readings, axis=0), STILL)
+    return halved(scaled, min(HALVINGS, int(np.log2(len(readings) / LEAST_POSES))))
 
 
 def field_results(

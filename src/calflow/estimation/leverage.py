@@ -219,3 +219,16 @@ def _by_pose(fit: Fit, pose: np.ndarray, unit: MeasurementUnit) -> Iterator[tupl
                 variance = (part.total[judged] ** 2).mean(axis=0)[rows_of].mean(axis=1)
                 figures = np.array([np.vecdot(missed, missed), expected, np.full(n_poses, float(size)), variance])
                 yield figures, slopes.T @ slopes
+
+
+def halved(places: np.ndarray, levels: int) -> np.ndarray:
+    """Return the leaf (n,) of each point (n, n_axes) in a k-d tree (Bentley 1975): each block is halved along its longest axis."""
+    block = np.zeros(len(places), dtype=int)
+    for _ in range(levels):
+        upper = np.zeros(len(places), dtype=bool)
+        for leaf in np.unique(block):
+            members = np.flatnonzero(block == leaf)
+            along = places[members, int(np.argmax(np.ptp(places[members], axis=0)))]
+            upper[members[np.argsort(along, kind="stable")[len(members) // 2 :]]] = True
+        block = 2 * block + upper
+    return block

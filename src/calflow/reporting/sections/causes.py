@@ -323,6 +323,8 @@ def name_certainty(finding: Finding, kin: Sequence[str]) -> str:
         sentences.append(
             f"Nothing else that was tested explains the data nearly as well (probability {sureness(finding.name_probability)})."
         )
+    if finding.carries_over is False:
+        sentences.append("It does not hold in blocks of the fitted poses that were left out: do not rely on its name.")
     return " ".join(sentences)
 
 
