@@ -30,7 +30,6 @@ from pathlib import Path
 from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
-os.environ.pop("CALFLOW_DATA", None)  # the user's data must not stand in for a case's own
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 import pandas as pd
@@ -106,6 +105,7 @@ def main() -> None:
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--out", type=Path, default=Path("faults.csv"))
     asked = parser.parse_args()
+    os.environ.pop("CALFLOW_DATA", None)  # the user's data must not stand in for a case's own
     if asked.part == "damages" and damage.reads_everything():
         os.execvp(damage.AS_USER[0], [*damage.AS_USER, sys.executable, *sys.argv])
     ends = [asked.first + k * asked.cases // asked.processes for k in range(asked.processes + 1)]

@@ -31,6 +31,7 @@ def test_a_tilt_turns_what_pulls(benches: dict[str, Bench], monkeypatch: pytest.
     plain = bench.points()
     tilted = Rotation.from_rotvec([*TILT, 0.0]).apply(simulator.WEIGHT)
     monkeypatch.setattr(simulator, "WEIGHT", tilted)
+    monkeypatch.setattr(simulator, "LEVERS", np.cross(np.eye(3), tilted))
     real = bench.points()
     effect = np.linalg.norm(real - plain, axis=1).max()
     assert effect > 1e-5
