@@ -142,9 +142,14 @@ def planned(fleet: Fleet, folder: FleetFolder) -> Iterator[str]:
     """Yield one line per robot on what a run would do; writes each robot's study, for `calflow check` and others."""
     width = max(len(robot.name) for robot in fleet.robots)
     wide = max(len(type.name) for type in fleet.types)
-    told: dict[object, str] = {}
+    told: dict[object, str] = {}  # the first robot with these mistakes in its files
     for robot in fleet.robots:
-        yield f"{robot.name:{width}}  {robot.type.name:{wide}}  {_planned_words(robot, folder, told)}"
+        try:
+            words = _planned_words(robot, folder)
+        except InputError as error:
+            first = told.setdefault(tuple((each.line, each.key, each.message) for each in error.problems), robot.name)
+            words = f"would fail: {failure_reason(error, robot.home) if first == robot.name else f'as {first}'}"
+        yield f"{robot.name:{width}}  {robot.type.name:{wide}}  {words}"
 
 
 def steps_of(robot: FleetRobot, folder: FleetFolder) -> list[PlannedStage]:
@@ -157,19 +162,12 @@ def steps_of(robot: FleetRobot, folder: FleetFolder) -> list[PlannedStage]:
     return plan(load_study(folder.study(robot.name)), folder.run(robot.name))
 
 
-def _planned_words(robot: FleetRobot, folder: FleetFolder, told: dict[object, str]) -> str:
-    """Return what a run would do; told has the robots whose failure was stated in full, by what is wrong in their files."""
-    try:
-        planned_steps = steps_of(robot, folder)
-        again = [step for step in planned_steps if not step.reuse]
-        if again:
-            load_study(folder.study(robot.name)).measurements()  # reports faulty rows before a long run
-    except InputError as error:
-        wrong = tuple((problem.line, problem.key, problem.message) for problem in error.problems)
-        first = told.setdefault(wrong, robot.name)
-        return f"would fail: {failure_reason(error, robot.home) if first == robot.name else f'as {first}'}"
+def _planned_words(robot: FleetRobot, folder: FleetFolder) -> str:
+    planned_steps = steps_of(robot, folder)
+    again = [step for step in planned_steps if not step.reuse]
     if not again:
         return f"reuse  {planned_steps[0].reason}"
+    load_study(folder.study(robot.name)).measurements()  # reports faulty rows before a long run
     return f"run    {', '.join(step.stage.name for step in again)}: {again[0].reason}"
 
 
