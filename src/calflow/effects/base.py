@@ -421,6 +421,10 @@ class Effect(ABC):
         """Return the variant in words at a joint (0 for none), in the units in which it moves."""
         return self.detail
 
+    def acts_as(self, p: ca.SX, row: Row) -> tuple[Effect, ca.SX]:
+        """Return the effect that acts at a row and its parameters: this one, unless it acts as another one."""
+        return self, p
+
     def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
         """Return the robot's lengths and angles with this effect."""
         return dims
@@ -583,6 +587,10 @@ class ActingEffect(Effect):
     @abstractmethod
     def acting(self, p: ca.SX, row: Row) -> tuple[Effect, ca.SX]:
         """Return the effect that acts and its parameters at a row, given the column vector of this effect's."""
+
+    def acts_as(self, p: ca.SX, row: Row) -> tuple[Effect, ca.SX]:
+        effect, values = self.acting(p, row)
+        return effect.acts_as(values, row)
 
     completing, concerns, undecided, is_noise, of_measuring = map(
         _asked, ("completing", "concerns", "undecided", "is_noise", "of_measuring")

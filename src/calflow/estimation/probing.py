@@ -244,22 +244,26 @@ def _basis(effects: tuple[Effect, ...], given: tuple[str, ...]) -> Basis:
     symbols = ca.SX.sym("state", _width(shape))
     c = ca.SX.sym("c", sum(Row.sizes(robot, given).values()))
     dims, loads, state, point, target = _unpacked(shape, symbols)
-    row, before = Row.unpack(robot, c, given), Inner(dims, loads, still.torque, still.deflection, point, target)
-    moved = ca.SX(_width(before), 1)
+    row, before = Row.unpack(robot, c, given), (dims, loads, still.torque, still.deflection, point, target)
+    moved = [ca.SX(_width(quantity), 1) for quantity in before]
     start = np.cumsum([0, *(len(effect.declared) for effect in effects)])
     every = ca.SX.sym("p", int(start[-1]))
-    for effect, p in zip(effects, ca.vertsplit(every, start.tolist()), strict=True):
-        after = Inner(
-            effect.dimensions(p, dims, row),
-            effect.loads(p, loads, row),
-            still.torque + effect.torque(p, state, row),
-            effect.deflection(p, state, row, still.deflection),
-            effect.device(p, point, row),
-            effect.target(p, target, row),
+    for effect, own in zip(effects, ca.vertsplit(every, start.tolist()), strict=True):
+        acting, p = effect.acts_as(own, row)
+        torque = acting.torque(p, state, row)
+        after = (
+            acting.dimensions(p, dims, row),
+            acting.loads(p, loads, row),
+            torque if isinstance(torque, ca.SX) else still.torque,
+            acting.deflection(p, state, row, still.deflection),
+            acting.device(p, point, row),
+            acting.target(p, target, row),
         )
-        moved += _change(after, before)
+        for k, (now, earlier) in enumerate(zip(after, before, strict=True)):
+            if now is not earlier:
+                moved[k] += _change(now, earlier)
     nominal = ca.SX(ca.DM([parameter.nominal for effect in effects for parameter in effect.declared]))
-    slope = ca.sparsify(ca.substitute(ca.jacobian(moved, every), every, nominal))
+    slope = ca.sparsify(ca.substitute(ca.jacobian(ca.vertcat(*moved), every), every, nominal))
     quantity, column = (np.array(which, dtype=int) for which in slope.sparsity().get_triplet())
     function = ca.Function("basis", [ca.SX.sym("p", 0), symbols, c], [ca.densify(slope.nz[:])])
     return Basis(function, quantity, column)
