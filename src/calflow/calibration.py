@@ -76,7 +76,15 @@ from calflow.faults.duplicate import rows_held_by
 from calflow.faults.outlier import odd_rows
 from calflow.files.deferred import pd
 from calflow.files.problems import InputError, Problem, refuse, refuse_any, run_checks
-from calflow.files.tables import Results, as_declared, missing_columns, to_document, to_frame, write_results
+from calflow.files.tables import (
+    DeferredTables,
+    Results,
+    as_declared,
+    missing_columns,
+    to_document,
+    to_frame,
+    write_results,
+)
 from calflow.files.toml import Confidence, Count, FalseAlarm, Positive, Seed, as_annotated, checked_arguments
 from calflow.files.units import METRE
 from calflow.files.words import plural
@@ -154,7 +162,8 @@ class Calibration(CalibratedModel, RunOutcome):
             with TemporaryDirectory() as made:
                 return load_again(read.manifest, read.folder, Path(made)).measurements()
 
-        tables = {name: as_declared(table, TABLES[name]) for name, table in read.results.tables.items()}
+        given = read.results.tables
+        tables = DeferredTables(tuple(given), lambda name: as_declared(given[name], TABLES[name]))
         results = Results(tables, read.results.documents)
         return replace(cls.of(read.robot, read.file, results, measured), folder=read)
 

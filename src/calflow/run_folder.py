@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import os
 import platform
@@ -20,7 +21,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from calflow.files.data_package import DATA_PACKAGE, data_package
 from calflow.files.plugins import packages
 from calflow.files.problems import InputError, Problem, nearest_file, refuse, refuse_any
-from calflow.files.tables import SUM, Results, checksum_matches, read_csv, with_checksum, write_results
+from calflow.files.tables import SUM, DeferredTables, Results, checksum_matches, read_csv, with_checksum, write_results
 from calflow.files.toml import read_toml
 from calflow.files.writing import contained, write_text, write_whole
 from calflow.measurements.source import sha256
@@ -221,9 +222,10 @@ def study_and_folder(study_or_run: Path, out: Path | None) -> tuple[Study, Path]
 
 
 def read_results(manifest: Manifest, folder: Path, stage: str) -> Results:
-    """Return a stage's tables and documents by their path in the run folder."""
+    """Return a stage's tables and documents by their path in the run folder, as they are now."""
     outputs = manifest.outputs(stage)
-    tables = {name: read_csv(folder / name) for name in outputs if name.endswith(".csv")}
+    texts = {name: (folder / name).read_bytes() for name in outputs if name.endswith(".csv")}
+    tables = DeferredTables(tuple(texts), lambda name: read_csv(io.BytesIO(texts[name])))
     names = [name for name in outputs if name.endswith(".json")]
     return Results(tables, {name: json.loads((folder / name).read_text(encoding="utf-8")) for name in names})
 

@@ -22,13 +22,13 @@ import hashlib
 import json
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, asdict, dataclass, field, fields
 from functools import cache, cached_property, partial
 from importlib.metadata import version
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Any, Literal, TypeAlias, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import IO, Any, Literal, TypeAlias, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from pydantic import ValidationError
 
@@ -63,9 +63,9 @@ def write_csv(path: Path, table: pd.DataFrame, exact: bool = False) -> None:
     write_text(path, csv_text(table, exact))
 
 
-def read_csv(path: Path) -> pd.DataFrame:
+def read_csv(source: Path | IO[bytes]) -> pd.DataFrame:
     """Return a table that `write_csv` wrote, with its numbers to the last bit and one type per column."""
-    return _changed(pd.read_csv(path, low_memory=False, **EXACT), unquoted)
+    return _changed(pd.read_csv(source, low_memory=False, **EXACT), unquoted)
 
 
 def read_texts(path: Path) -> pd.DataFrame:
@@ -396,6 +396,28 @@ def _plain(value: Any) -> Any:
 Kind = TypeVar("Kind")
 
 
+@dataclass(frozen=True, eq=False)
+class DeferredTables(Mapping[str, "pd.DataFrame"]):
+    """Tables by path, each made when it is first asked for: most commands ask for few of the dozens of a run."""
+
+    paths: tuple[str, ...]
+    make: Callable[[str], pd.DataFrame]
+    made: dict[str, pd.DataFrame] = field(default_factory=dict, repr=False)
+
+    def __getitem__(self, path: str) -> pd.DataFrame:
+        if path not in self.made:
+            if path not in self.paths:
+                raise KeyError(path)
+            self.made[path] = self.make(path)
+        return self.made[path]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.paths)
+
+    def __len__(self) -> int:
+        return len(self.paths)
+
+
 @dataclass(frozen=True)
 class Results:
     """Tables (CSV) and documents (JSON) by their path in the run folder, such as `identify/accuracy.csv`."""
@@ -409,11 +431,14 @@ class Results:
 
     def __or__(self, other: Results) -> Results:
         """Return the union of two results; where both have a path, the other's content is taken."""
-        return Results({**self.tables, **other.tables}, {**self.documents, **other.documents})
+        paths = tuple(dict.fromkeys((*self.tables, *other.tables)))
+        tables = DeferredTables(paths, lambda path: (other if path in other.tables else self).tables[path])
+        return Results(tables, {**self.documents, **other.documents})
 
     def of(self, stages: set[str]) -> Results:
         """Return the results of the given stages."""
-        return Results(_of(self.tables, stages), _of(self.documents, stages))
+        documents = {path: self.documents[path] for path in _of(self.documents, stages)}
+        return Results(DeferredTables(_of(self.tables, stages), self.tables.__getitem__), documents)
 
     def rows(self, path: str, row_type: type[Kind]) -> list[Kind]:
         """Return the rows of a table as dataclasses.
@@ -472,12 +497,9 @@ def write_results(folder: Path, results: Results) -> None:
         write_text(inside(folder, name), document_text(document))
 
 
-Made = TypeVar("Made", "pd.DataFrame", Document)
-
-
 def _lacking(path: str) -> InputError:
     return refuse(f"has no {path}: an earlier version of calflow made these results; run the study again")
 
 
-def _of(made: Mapping[str, Made], stages: set[str]) -> dict[str, Made]:
-    return {path: content for path, content in made.items() if path.partition("/")[0] in stages}
+def _of(paths: Iterable[str], stages: set[str]) -> tuple[str, ...]:
+    return tuple(path for path in paths if path.partition("/")[0] in stages)
