@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import lru_cache
 from itertools import chain, combinations, islice
 from types import MappingProxyType
 from typing import Generic, Literal
@@ -356,10 +357,16 @@ def sizes(cause: Cause, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the size of a cause for values of its parameters (n, n_parameters), as findings state it, (n,), and its gradient."""
     if values.shape[1] == 1:
         return values[:, 0], np.ones(values.shape)
-    p = ca.SX.sym("p", values.shape[1])
-    size = cause.size_of(p)
-    figures, slopes = ca.Function("size", [p], [size, ca.gradient(size, p)])(values.T)
+    figures, slopes = _size(cause)(values.T)
     return np.array(figures).ravel(), np.array(slopes).T
+
+
+@lru_cache(maxsize=1024)
+def _size(cause: Cause) -> ca.Function:
+    """Return a cause's parameters -> its size and gradient; cached, as each form of each finding is asked several times."""
+    p = ca.SX.sym("p", cause.n_parameters)
+    size = cause.size_of(p)
+    return ca.Function("size", [p], [size, ca.gradient(size, p)])
 
 
 def found_amplitude(finding: Detection, fitted: Fitted) -> Amplitude:
