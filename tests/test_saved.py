@@ -165,26 +165,6 @@ def test_a_stated_noise_that_repeats_contradict_on_one_day_is_told_as_it_was_sta
     assert doubt.shown > 1.5 * doubt.stated
 
 
-def test_the_noise_of_a_marker_is_loaded_as_it_was_saved(tmp_path):
-    """Fails if a marker's noise is lost with the files, or a run that was saved without it is not loaded."""
-    places = {"E": [0.1, 0.02, 0.3], "F": [-0.1, 0.2, 0.25], "G": [0.15, -0.2, 0.2]}
-    case = Case(robots.industrial(markers={name: {"point_m": at} for name, at in places.items()}), ("geometry",))
-    data, rng = case.measured(1).only(np.arange(70) < 40), np.random.default_rng(5)
-    table = pd.concat([data.table.assign(marker=name) for name in places], ignore_index=True)
-    data = replace(data, table=table.assign(line=np.arange(2, len(table) + 2), sigma=3e-5))
-    model, loose = build(case.robot, ("geometry",), data.given), data.table["marker"] == "F"
-    noise = np.where(loose, 3e-4, 3e-5)[:, None] * rng.standard_normal((len(data), 3))
-    seen = model.position(model.nominal, data.conditions) + noise
-    data = replace(data, table=data.table.assign(**dict(zip("xyz", seen.T, strict=True))))
-    found = cf.identify(case.robot, data, case.effects, starts=1).diagnose(catalogue=["joint-backlash"])
-    loaded = assert_loaded(found, tmp_path / "diagnosed")
-    (device,) = loaded.device
-    assert 6 < device.factors["F"] < 16
-    np.testing.assert_array_equal(loaded.noise(data).sigma, np.where(loose, device.factors["F"], 1.0) * 3e-5)
-    (doubt,) = RunOutcome(loaded.results).noise_doubts
-    assert (doubt.session, doubt.marker) == ("", "F")
-
-
 def test_a_run_of_a_version_without_levels_of_effort_says_so(finished):
     """Fails if what needs a table that a run folder of earlier lacks is made without it, or nobody says what to do."""
     calibration = cf.Calibration.load(finished / "runs")

@@ -31,9 +31,18 @@ from hidden.test_rivals import BENDING, diagnosed, written
 from hidden.test_steps import AT_A_ROW, STEPS, assert_step
 
 
-def test_a_cable_that_drags_is_not_named(tmp_path):
-    """Fails if a cause that no catalogue has is named with certainty, or passed over in silence."""
-    assert_not_named(tmp_path, "cable drag")
+@pytest.mark.parametrize("name", ["cable drag", "play, no side recorded"])
+def test_what_is_not_in_the_catalogue_is_not_named(name, tmp_path):
+    """Fails if a cause that no catalogue has, or whose side nobody recorded, is named with certainty, or passed over in silence."""
+    assert_not_named(tmp_path, name)
+
+
+def test_tracker_scale_shows_in_distances_that_are_known(tmp_path):
+    """Fails if markers whose places beside each other are known do not show the device's scale."""
+    seen = found(tmp_path, BESIDE, 14)
+    assert list(seen.causes["cause"]) == ["tracker-scale"]
+    row = seen.causes.iloc[0]
+    assert abs(row["estimate"] - 8e-5) < 4 * row["sd"]
 
 
 def test_markers_of_known_places_show_no_scale_that_is_not_there(tmp_path):

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 import calflow as cf
 import robots
 from calflow.deployment.run_outcome import RunOutcome
+from calflow.model import build
 from conftest import _measured, small  # noqa: F401, fixtures
 from effects.test_axis_straightness import ON_A_RAIL
 from hidden.devices import rows, written
@@ -81,6 +82,26 @@ def test_the_noise_of_a_session_is_loaded_as_it_was_saved(tmp_path):
     assert not np.array_equal(found.estimate, calibration.estimate), "fitted again with that noise"
     *_, fitted = (row for row in found.accuracy if row.split == "train")
     assert fitted.mean == pytest.approx(1e3 * np.linalg.norm(off[data.train], axis=1).mean())
+
+
+def test_the_noise_of_a_marker_is_loaded_as_it_was_saved(tmp_path):
+    """Fails if a marker's noise is lost with the files, or a run that was saved without it is not loaded."""
+    places = {"E": [0.1, 0.02, 0.3], "F": [-0.1, 0.2, 0.25], "G": [0.15, -0.2, 0.2]}
+    case = Case(robots.industrial(markers={name: {"point_m": at} for name, at in places.items()}), ("geometry",))
+    data, rng = case.measured(1).only(np.arange(70) < 40), np.random.default_rng(5)
+    table = pd.concat([data.table.assign(marker=name) for name in places], ignore_index=True)
+    data = replace(data, table=table.assign(line=np.arange(2, len(table) + 2), sigma=3e-5))
+    model, loose = build(case.robot, ("geometry",), data.given), data.table["marker"] == "F"
+    noise = np.where(loose, 3e-4, 3e-5)[:, None] * rng.standard_normal((len(data), 3))
+    seen = model.position(model.nominal, data.conditions) + noise
+    data = replace(data, table=data.table.assign(**dict(zip("xyz", seen.T, strict=True))))
+    found = cf.identify(case.robot, data, case.effects, starts=1).diagnose(catalogue=["joint-backlash"])
+    loaded = assert_loaded(found, tmp_path / "diagnosed")
+    (device,) = loaded.device
+    assert 6 < device.factors["F"] < 16
+    np.testing.assert_array_equal(loaded.noise(data).sigma, np.where(loose, device.factors["F"], 1.0) * 3e-5)
+    (doubt,) = RunOutcome(loaded.results).noise_doubts
+    assert (doubt.session, doubt.marker) == ("", "F")
 
 
 ROBOTS = {

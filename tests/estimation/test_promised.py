@@ -156,7 +156,9 @@ def test_two_sockets_beside_each_other_promise_no_metres_elsewhere():
         arm, near = Bent(straight.robot, straight.figures, off), np.array([0.7, 0.2, 0.1])
         there = {"a": near, "b": near + np.array([0.03, 0.04, 0.0])}
         placed = Series.of("", "same-point", labels=("socket",))
-        fitted = fit_effects(measured(arm.robot, sockets(arm, there, 60, NOISE, rng), placed, NOISE), ("geometry",))
+        fitted = fit_effects(
+            measured(arm.robot, sockets(arm, there, 60, NOISE, rng), placed, NOISE), ("geometry",), starts=1
+        )
         away = sockets(arm, {"c": np.array([0.35, -0.45, 0.35])}, 40, NOISE, rng)
         third = fitted.known.errors_in_unit(measured(fitted.data.robot, away, placed, NOISE), METRE)
         found.append((third.error**2).mean())

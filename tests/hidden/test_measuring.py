@@ -17,7 +17,8 @@ from hidden.test_hidden import only
 
 SIGMA, MEASURED, POSES = 3e-5, 60, 400
 REGION = "region_min_m = [1.5, -1.6, 0.5]\nregion_max_m = [3.6, 1.6, 3.0]"
-SELECT = f'[stages.select]\npayload = "full"\ncandidates = 200\n{REGION}\n[stages.select.task]\nnumber = 150\n'
+ONCE = "[stages.identify]\nstarts = 1\n\n"
+SELECT = f'{ONCE}[stages.select]\npayload = "full"\ncandidates = 200\n{REGION}\n[stages.select.task]\nnumber = 150\n'
 
 
 def measured(folder, background, tolerance):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -25,6 +26,7 @@ CASE = Case(
     workflow="own.toml",
     seed=3,
     background=Background("joints", 3e-4, 3),
+    settings="[stages.identify]\nstarts = 1\n",
 )
 WORKFLOW = 'name = "own"\nstages = ["identify"]\n'
 
@@ -172,7 +174,7 @@ def test_switched_off_it_is_gone_and_nothing_is_fitted_again(corrected):
 
 def test_clean_data_are_left_alone(tmp_path):
     """Fails if a correction is made of noise alone, or it is not said that there is none; how often, is estimation's."""
-    case = Case(poses=150, payloads=("none",), effects=("geometry",), columns=("sigma",), workflow="own.toml", seed=1)
+    case = replace(CASE, poses=150, seed=1, background=None)
     _, outside = written(tmp_path, case)
     answer = in_process("run", tmp_path, "--out", tmp_path / "run")
     assert "not applied" in answer.out + answer.err
