@@ -165,6 +165,16 @@ def test_a_marker_far_from_where_it_is_typed(measured):
         examined(measured.on(robot))
 
 
+def test_a_tool_stated_far_off_is_told_though_the_base_is_unknown(measured):
+    """Fails if its figure ends at a bound of the fit without a word, or one that the fit can correct is refused."""
+    tool, base = measured.robot.markers["E"], Base(known=False)
+    longer = [replace(tool, point=(*tool.point[:2], tool.point[2] + by)) for by in (0.1, 0.25)]
+    near, far = (measured.on(replace(measured.robot, base=base, markers={"E": marker})) for marker in longer)
+    assert examined(near)[1] == ()
+    with pytest.raises(InputError, match=r"marker E is mistyped, 25\d mm off; expected about point_mm"):
+        examined(far)
+
+
 def swapped(data):
     """The rows of two payloads under each other's name."""
     return with_columns(data, payload=data.table["payload"].replace({"half": "full", "full": "half"}))

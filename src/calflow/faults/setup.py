@@ -8,7 +8,7 @@ with the degrees of freedom of the fit's weights.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -90,7 +90,8 @@ class Setup:
         robot = replace(with_markers(data.robot, data.only(data.train)), base=Base(known=False), expected=())
         model = _model(robot, data.given)
         links, kept = _links(model)
-        return Setup(model, links, kept, *_prior(model, base.known), turn, origin, *_at(data, _training_rows(data)))
+        stated = {"base", *(name for name, marker in robot.markers.items() if marker.known)} if base.known else set()
+        return Setup(model, links, kept, *_prior(model, stated), turn, origin, *_at(data, _training_rows(data)))
 
     def beside(self, effect: Effect) -> Setup:
         """Return the set-up with a further effect."""
@@ -134,9 +135,18 @@ class Setup:
         return self._with_model(_model(robot, self.model.given))
 
     def _with_model(self, model: Model) -> Setup:
-        (links, kept), (mean, sd, stated) = _links(model), _prior(model, self.turn is not None)
+        parts = {self.model.parameters[k].part for k in self.stated}
+        (links, kept), (mean, sd, stated) = _links(model), _prior(model, parts)
         links = self.links if links == self.links else links  # whose graph is made already
         return replace(self, model=model, links=links, kept=kept, mean=mean, sd=sd, stated=stated)
+
+    @property
+    def with_stated_markers(self) -> Setup:
+        """The set-up with the prior of a stated place on known markers, also beside an unknown base."""
+        places = zip(self.model.robot.markers, marker_places(self.model.robot), strict=True)
+        base = {self.model.parameters[k].part for k in self.stated}
+        _, sd, stated = _prior(self.model, {*base, *(name for name, place in places if place < 0)})
+        return replace(self, sd=sd, stated=stated)
 
     @property
     def restated(self) -> Setup:
@@ -229,11 +239,10 @@ def _links(model: Model) -> tuple[Model, np.ndarray]:
     return links, np.concatenate([model.columns(effect) for effect in links.effects])
 
 
-def _prior(model: Model, known: bool) -> tuple[np.ndarray, np.ndarray, tuple[int, ...]]:
-    """Return the prior mean and sd of a model, and the parameters of stated base and markers; known: whether the base is stated."""
-    figures, markers = [k for k, p in enumerate(model.parameters) if p.effect == Geometry.id], model.robot.markers
-    placed = [k for k in figures if model.parameters[k].part in ("base", *markers)]
-    parts = {"base", *(name for name, marker in markers.items() if marker.known)} if known else {}
+def _prior(model: Model, parts: Collection[str]) -> tuple[np.ndarray, np.ndarray, tuple[int, ...]]:
+    """Return the prior mean and sd of a model, and the parameters of the parts (base and markers) that are where it is stated."""
+    figures = [k for k, p in enumerate(model.parameters) if p.effect == Geometry.id]
+    placed = [k for k in figures if model.parameters[k].part in ("base", *model.robot.markers)]
     stated = [k for k in placed if model.parameters[k].part in parts]
     sd = np.where([p.effect == PayloadMass.id for p in model.parameters], 0.0, model.prior_sd)
     sd[placed], sd[stated] = PLACED_SD, STATED_SD
@@ -375,7 +384,11 @@ class FittedSetup:
     @property
     def displacements(self) -> np.ndarray:
         """The displacements of stated base and markers [m and rad]."""
-        return np.abs(self.deviations[list(self.setup.stated)]) * STATED_SD
+        return self.shifts(self.setup)
+
+    def shifts(self, stated: Setup) -> np.ndarray:
+        """Return the displacements of what another set-up has as stated base and markers [m and rad]."""
+        return np.abs(self.estimate - self.mean)[list(stated.stated)]
 
     @property
     def base(self) -> tuple[np.ndarray, np.ndarray]:

@@ -7,7 +7,7 @@ most probable one is reported together with those that explain the positions equ
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -54,8 +54,15 @@ class PossibleMistake:
 
 
 def setup_faults(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
-    """Return the mistake of robot file, table or set-up that the positions show, if any (see `told`)."""
-    return told(reference, likeliest_mistakes(data, reference), lambda _: True)
+    """Return the mistake of robot file, table or set-up that the positions show, if any (see `told`).
+
+    Beside an unknown base markers may be displaced, but not beyond the bound of a fit: then they are taken as stated.
+    """
+    candidates, stated = likeliest_mistakes(data, reference), reference.setup.with_stated_markers
+    if not candidates and reference.setup.fitted.shifts(stated).max(initial=0.0) > PLACED_BOUND:
+        reference = replace(reference, setup=stated)
+        candidates = likeliest_mistakes(data, reference)
+    return told(reference, candidates, lambda _: True)
 
 
 def likeliest_mistakes(data: Measurements, reference: Reference) -> list[PossibleMistake]:
