@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from calflow.fleet.standing import Outcome, fleet_lines, read_outcome, worst_first, write_outcome
+from calflow.fleet.standing import Outcome, fleet_lines, read_outcome, uncalibrated_lines, worst_first, write_outcome
 
 
 def outcome(robot: str, status: str = "calibrated", after: float | None = None, usable: bool | None = None) -> Outcome:
@@ -35,6 +35,13 @@ def test_errors_at_fitted_poses_are_called_so():
     assert fleet_lines([judged, fitted])[-1] == f"Errors of b{end}"
     assert fleet_lines([fitted])[-1] == f"All errors{end}"
     assert "fitted" not in "".join(fleet_lines([judged]))
+
+
+def test_a_reason_of_several_robots_is_told_once():
+    """Fails if a mistake in a file that a hundred robots share is a hundred times the same line."""
+    found = [replace(outcome(name, "failed"), reason="robot.toml: x") for name in "abc"]
+    found += [outcome("d"), replace(outcome("e", "not run"), reason="not begun")]
+    assert uncalibrated_lines(found) == ["! a, b and c (t): Failed: robot.toml: x", "! e (t): Not run: not begun"]
 
 
 def test_an_outcome_reads_back_as_it_was(tmp_path):

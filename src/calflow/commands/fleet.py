@@ -15,7 +15,6 @@ from calflow.commands.console import FILE, FOLDER, NOT_WELL, NUMBER, cli, progre
 if TYPE_CHECKING:
     from calflow.fleet.engine import FleetFolder
     from calflow.fleet.fleet import Fleet
-    from calflow.fleet.standing import Outcome
 
 ALLOW = click.option(
     "--allow",
@@ -69,7 +68,7 @@ def fleet_run_command(
     """
     from calflow.fleet.engine import LOG, check_engine, command, held, running
     from calflow.fleet.fleet_report import write_summary
-    from calflow.fleet.standing import arriving, fleet_lines, forget_stale, outcomes, why
+    from calflow.fleet.standing import arriving, fleet_lines, forget_stale, outcomes, uncalibrated_lines
     from calflow.runs.lock import locked
     from calflow.study import workflow_folder
 
@@ -88,13 +87,12 @@ def fleet_run_command(
         called = command(workflow_folder() / "fleet.smk", config, folder.path, cores, profile, (*grouped, *options))
         with running(called, folder.path, lock) as process:
             for line in arriving(loaded, folder, lambda: process.poll() is not None):
-                say(f"{line.robot}: {line.verdict or why(line)}")
+                say(f"{line.robot}: {line.verdict or line.status}")
         reached = outcomes(loaded, folder)
         if process.returncode:
             say(f"Snakemake ended with {process.returncode}: what it said is in {folder.path / LOG}", err=True)
             write_summary(loaded, folder, reached)
-    say(*fleet_lines(reached))
-    _tell_failed(reached)
+    say(*fleet_lines(reached), *uncalibrated_lines(reached))
     say(f"report: {folder.path / 'report.pdf'}")
     sys.exit(0 if all(outcome.status == "calibrated" for outcome in reached) else NOT_WELL)
 
@@ -105,11 +103,10 @@ def fleet_run_command(
 @ALLOW
 def fleet_status_command(fleet_file: Path, out: Path | None, allow: tuple[Path, ...]) -> None:
     """Show how far a fleet has come, and what failed."""
-    from calflow.fleet.standing import fleet_lines, outcomes
+    from calflow.fleet.standing import fleet_lines, outcomes, uncalibrated_lines
 
     reached = outcomes(*_opened(fleet_file, out, allow))
-    say(*fleet_lines(reached))
-    _tell_failed(reached)
+    say(*fleet_lines(reached), *uncalibrated_lines(reached))
 
 
 @fleet_command.command("report")
@@ -119,10 +116,10 @@ def fleet_status_command(fleet_file: Path, out: Path | None, allow: tuple[Path, 
 def fleet_report_command(fleet_file: Path, out: Path | None, allow: tuple[Path, ...]) -> None:
     """Write fleet.csv and the reports anew from what came of the robots so far."""
     from calflow.fleet.fleet_report import write_summary
-    from calflow.fleet.standing import outcomes
+    from calflow.fleet.standing import outcomes, uncalibrated_lines
 
     loaded, folder = _opened(fleet_file, out, allow)
-    _tell_failed(write_summary(loaded, folder, outcomes(loaded, folder)))
+    say(*uncalibrated_lines(write_summary(loaded, folder, outcomes(loaded, folder))))
     say(f"report: {folder.path / 'report.pdf'}")
 
 
@@ -174,11 +171,3 @@ def _opened(fleet_file: Path, out: Path | None, allow: tuple[Path, ...]) -> tupl
 
     loaded = load_fleet(fleet_file, allow)
     return loaded, fleet_folder(loaded, out)
-
-
-def _tell_failed(outcomes: list[Outcome]) -> None:
-    from calflow.fleet.standing import why
-
-    for outcome in outcomes:
-        if outcome.status != "calibrated":
-            say(f"! {outcome.robot} ({outcome.type}): {why(outcome)}")

@@ -279,6 +279,15 @@ def _count(outcomes: Sequence[Outcome]) -> str:
     return "; ".join([*parts, *(f"{len(those)} {what} ({listed(those, 6)})" for what, those in kinds if those)])
 
 
+def uncalibrated_lines(outcomes: Iterable[Outcome]) -> list[str]:
+    """Return the robots that are not calibrated, each reason once."""
+    alike: dict[tuple[str, str], list[str]] = {}
+    for outcome in outcomes:
+        if outcome.status != "calibrated":
+            alike.setdefault((outcome.type, why(outcome)), []).append(outcome.robot)
+    return [f"! {listed(robots, 6)} ({type_}): {reason}" for (type_, reason), robots in alike.items()]
+
+
 def why(outcome: Outcome) -> str:
     """Return, in words, why a robot is not calibrated."""
     where = f" in {outcome.failed_stage}" if outcome.failed_stage else ""
