@@ -452,7 +452,19 @@ def test_a_run_refused_at_its_first_stage_leaves_no_run(small):
     (small / "runs" / "inputs" / "mine.txt").write_text("kept", encoding="utf-8")
     small.refused("run", "--stage", "identify")
     left = {path.name for path in (small / "runs").rglob("*") if path.is_file()}
-    assert left == {"mine.txt", ".lock"}
+    assert left == {"mine.txt"}
+    small.refused("run", "--stage", "identify", "--out", small / "new" / "run")
+    assert not (small / "new").exists()
+
+
+def test_a_stage_that_refuses_its_input_leaves_no_work_behind(finished):
+    """Fails if a run that was refused looks as if it had been interrupted, and could be resumed."""
+    finished.measure(finished.rows[:12])
+    finished.refused("run", "--stage", "identify")
+    assert (
+        finished / "runs" / "identify" / "accuracy.csv"
+    ).is_file()  # of the run before, which status says did not finish
+    assert not (finished / "runs" / ".partial").exists()
 
 
 def test_a_loop_that_cannot_be_closed_is_told_row_by_row(looped):

@@ -38,6 +38,7 @@ from calflow.run_folder import (
 )
 from calflow.runs.cache_key import environment, file_hashes, machine
 from calflow.runs.kept import run_package
+from calflow.runs.lock import NAME as LOCK
 from calflow.runs.lock import locked
 from calflow.runs.planning import FORCED, PlannedStage, foreseen, passed_over, plan
 from calflow.stages.catalogue import STAGES
@@ -152,6 +153,8 @@ def execute(
         converted = isinstance(error.__cause__, KeyboardInterrupt)  # CasADi makes a SystemError of Ctrl-C
         status = "interrupted" if converted or isinstance(error, KeyboardInterrupt) else "failed"
         record(study, folder, stage, running.model_copy(update={"status": status}))
+        if isinstance(error, InputError) and not any((work / name).exists() for name in stage.resumes):
+            _remove_work(work)
         if converted:
             raise KeyboardInterrupt from error
         raise
@@ -169,9 +172,7 @@ def execute(
         target.parent.mkdir(parents=True, exist_ok=True)
         os.replace(work / name, target)
     os.replace(work / DATA_PACKAGE, inside(folder, DATA_PACKAGE))
-    shutil.rmtree(work)
-    if not any((folder / PARTIAL).iterdir()):
-        (folder / PARTIAL).rmdir()
+    _remove_work(work)
     seconds = round(time.monotonic() - started, 3)
     now = datetime.now(UTC).isoformat(timespec="seconds")
     done = StageEntry(status="done", reason=step.reason, key=step.key, seconds=seconds, finished=now, outputs=hashes)
@@ -229,6 +230,13 @@ def _work_folder(folder: Path, step: PlannedStage, before: StageEntry | None) ->
                 (work / name).parent.mkdir(parents=True, exist_ok=True)
                 shutil.copy2(here, work / name)
     return work
+
+
+def _remove_work(work: Path) -> None:
+    """Remove a stage's work folder, and that of all stages if it was the last."""
+    shutil.rmtree(work)
+    with suppress(OSError):  # it holds that of another stage
+        work.parent.rmdir()
 
 
 def _clear(work: Path, kept: set[str]) -> None:
@@ -294,7 +302,7 @@ def run(
     for name, demand in foreseen(study, [step.stage for step in steps if not step.reuse]).items():
         if warning := warned(name, demand, memory_available()):
             listener.say(warning)
-    planned = read_manifest(folder)
+    planned, made = read_manifest(folder), [path for path in (folder, *folder.parents) if not path.exists()]
     folder.mkdir(parents=True, exist_ok=True)
     with locked(folder):
         if read_manifest(folder) != planned:  # another run has changed the folder in the meantime
@@ -314,20 +322,27 @@ def run(
                     execute(study, folder, step, settings[step.stage.name], results, listener)
                 except InputError:
                     if planned is None and step is steps[0]:
-                        _clear_of_refused(study, folder)
+                        _clear_of_refused(study, folder, made)
                     raise
                 listener.finish(step.stage, time.monotonic() - started)
             results |= read_results(manifest_of(folder), folder, step.stage.name)
     return Run(results, folder)
 
 
-def _clear_of_refused(study: Study, folder: Path) -> None:
-    """Remove what a run wrote whose first stage refused its input: nothing was made of the study that it would document."""
-    shutil.rmtree(inside(folder, PARTIAL))
+def _clear_of_refused(study: Study, folder: Path, made: Iterable[Path]) -> None:
+    """Remove what a run wrote whose first stage refused its input: nothing was made of the study that it would document.
+
+    made are the folders that were not there before, the run's first.
+    """
+    shutil.rmtree(inside(folder, PARTIAL), ignore_errors=True)
     for name in (NAME, *_kept_inputs(study)):
         inside(folder, name).unlink()
     with suppress(OSError):  # it holds other files
         inside(folder, INPUTS).rmdir()
+    with suppress(OSError):
+        inside(folder, LOCK).unlink()
+        for path in made:
+            path.rmdir()
 
 
 def _keep_inputs(study: Study, folder: Path) -> None:
