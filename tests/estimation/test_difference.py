@@ -68,3 +68,18 @@ def test_figures_of_a_joint_are_compared_where_both_models_have_the_same_causes_
     curved = calibration(model, np.zeros(len(sd)), np.diag(sd**2), sigma=1e-5)
     assert {plain.model.parameters[k].joint for k in Difference.of(plain, curved).first} == {0}
     assert {model.parameters[k].joint for k in Difference.of(curved, curved).first} == set(range(7))
+
+
+def test_a_curve_is_one_test():
+    """Fails if each of a curve's figures counts as a test, of which the others then pay, or as many find chance differences."""
+    every = [Difference.of(*calibrations(np.random.default_rng(seed))) for seed in range(150)]
+    n = len(every[0].value)
+    wholes = ["a", *[""] * 3, *["b"] * (n - 5), "a"]
+    found = [one.tested(wholes, 0.01) for one in every]
+    assert all(len(set(p[4:-1])) == 1 and p[0] == p[-1] for p, _ in found)
+    for k in (1, 4):  # one figure alone, and the whole
+        assert kstest([p[k] for p, _ in found], "uniform").pvalue > 0.001
+    limit = 0.01 / 5  # of as many tests
+    assert all(beyond.any() == (p.min() <= limit) for p, beyond in found)
+    moved = Difference.of(*calibrations(np.random.default_rng(0), shift=1e-4))
+    assert moved.tested(wholes, 0.01)[1][4:-1].all()

@@ -52,10 +52,13 @@ class ParameterDifference:
     second_value: float = column("the second run's estimate", "as `unit` says")
     difference: float = column("second minus first", "as `unit` says")
     sd: float | None = column("its standard deviation; empty: both runs are of the same measurements", "as `unit` says")
-    p: float | None = column("p-value of the difference of this parameter alone; empty: as before")
-    significant: bool | None = column(
-        "whether it is significant among all parameters of the pair (Holm 1979, 1 %); empty: as before"
+    p: float | None = column(
+        "p-value of the difference of this parameter alone, or of its curve as a whole; empty: as before"
     )
+    significant: bool | None = column(
+        "whether it is significant among all parameters of the pair (Holm 1979, 1 %), a curve as one; empty: as before"
+    )
+    curve: str = column("the curve of which it is a figure; empty: none")
     meaning: str = column("what it is, in words")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -45,6 +46,12 @@ class Difference:
         shared = c1 @ np.diag(sd**-2.0) @ c2
         return Difference(i, j, second.estimate[j] - first.estimate[i], c1 + c2 - shared - shared.T, c1 + c2)
 
+    def among(self, which: np.ndarray) -> Difference:
+        """Return the difference of some of the parameters (n_some,), by their indices among these."""
+        both = np.ix_(which, which)
+        covariances = self.covariance[both], self.independent_covariance[both]
+        return Difference(self.first[which], self.second[which], self.value[which], *covariances)
+
     @property
     def sd(self) -> np.ndarray:
         """Standard deviations of the differences (n,)."""
@@ -67,6 +74,25 @@ class Difference:
         freedom = len(self.whitening)
         squared = float(((self.whitening @ self.value) ** 2).sum())
         return squared, freedom, float(scipy.stats.chi2.sf(squared, max(1, freedom)))
+
+    def tested(self, wholes: Sequence[str], level: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return p-values (n,), and which are significant among all by Holm's method (1979) at a family-wise level.
+
+        wholes (n,): the name of the whole that is tested as one, whose parameters mean nothing alone; empty: none.
+        """
+        tests = [[k for k, other in enumerate(wholes) if other == name] for name in dict.fromkeys(filter(None, wholes))]
+        alone = [k for k, name in enumerate(wholes) if not name]
+        z = np.divide(np.abs(self.value), self.sd, out=np.zeros(len(self.value)), where=self.sd > 0)
+        chance = [*(2 * scipy.stats.norm.sf(z[alone])), *(self.among(np.array(which)).joint[2] for which in tests)]
+        order = np.argsort(chance, kind="stable")
+        beyond = np.zeros(len(chance), dtype=bool)
+        beyond[order] = np.logical_and.accumulate(
+            np.array(chance)[order] <= level / (len(chance) - np.arange(len(chance)))
+        )
+        p, significant = np.ones(len(wholes)), np.zeros(len(wholes), dtype=bool)
+        for which, one, there in zip([*([k] for k in alone), *tests], chance, beyond, strict=True):
+            p[which], significant[which] = one, there
+        return p, significant
 
 
 def comparable(first: CalibratedModel, second: CalibratedModel) -> list[tuple[int, int]]:

@@ -50,7 +50,7 @@ def _pair(pair: RunPair, comparison: Comparison) -> str:
             "no test of chance applies."
         )
     shared = [row for row in comparison.parameters if (row.first, row.second) == (pair.first, pair.second)]
-    differ = [row.meaning or row.parameter for row in shared if row.significant]
+    differ = list(dict.fromkeys(row.curve or row.meaning or row.parameter for row in shared if row.significant))
     verdict = "differ by more than both leave open" if pair.p < DIFFERENT else AGREE[pair.robot]
     alone = f"; by themselves {listed(differ, 6)}" if differ else ""
     test = f"chi² {pair.chi2:.3g} of {pair.freedom}, chance {pair.p:.2g}"
@@ -104,11 +104,12 @@ def _causes(comparison: Comparison) -> Table:
 
 
 def _parameters(comparison: Comparison) -> Table:
-    shown = sorted(comparison.parameters, key=lambda row: 0.0 if row.p is None else row.p)[:PARAMETERS_SHOWN]
+    each = {(row.first, row.second, row.curve or row.parameter): row for row in comparison.parameters}
+    shown = sorted(each.values(), key=lambda row: 0.0 if row.p is None else row.p)[:PARAMETERS_SHOWN]
     number = 4 if any(row.p is not None for row in shown) else 3  # columns: chance is tested, or not
     rows = [
-        (f"{row.first} → {row.second}", row.meaning or row.parameter,
-         quantity(row.difference, float("nan") if row.sd is None else row.sd, row.unit),
+        (f"{row.first} → {row.second}", row.curve or row.meaning or row.parameter,
+         "of a curve" if row.curve else quantity(row.difference, float("nan") if row.sd is None else row.sd, row.unit),
          "–" if row.p is None else f"{row.p:.1g}")[:number]
         for row in shown
     ]  # fmt: skip

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations, pairwise
@@ -9,7 +10,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import scipy
 
 from calflow.calibration import Calibration
 from calflow.deployment.comparison import (
@@ -26,6 +26,7 @@ from calflow.diagnosis.fitted import Fitted
 from calflow.effects.cause import Cause
 from calflow.effects.wording import place_name
 from calflow.estimation.accuracy import leading_errors
+from calflow.estimation.calibrated_model import MANY
 from calflow.estimation.difference import Difference
 from calflow.estimation.noise import averaged, repeats_scatter
 from calflow.files.problems import InputError, Problem, refuse, refuse_any
@@ -97,9 +98,8 @@ def _compared(
     first: Calibration, second: Calibration, names: tuple[str, str], same: bool
 ) -> tuple[list[ParameterDifference], RunPair]:
     difference = Difference.of(first, second)
-    z = np.divide(np.abs(difference.value), difference.sd, out=np.zeros(len(difference.value)), where=difference.sd > 0)
-    p = 2 * scipy.stats.norm.sf(z)
-    beyond = _holm(p)
+    curve = _curves(first, difference)
+    p, beyond = difference.tested(curve, DIFFERENT)
     rows = []
     for k, (i, j) in enumerate(zip(difference.first, difference.second, strict=True)):
         parameter = first.model.parameters[i]
@@ -107,7 +107,7 @@ def _compared(
             first=names[0], second=names[1], parameter=parameter.name, unit=parameter.unit,
             first_value=parameter.figure + float(first.estimate[i]), second_value=parameter.figure + float(second.estimate[j]),
             difference=float(difference.value[k]), sd=None if same else float(difference.sd[k]), p=None if same else float(p[k]),
-            significant=None if same else bool(beyond[k]), meaning=parameter.meaning,
+            significant=None if same else bool(beyond[k]), curve=curve[k], meaning=parameter.meaning,
         ))  # fmt: skip
     squared, freedom, chance = difference.joint
     tested: dict[str, Any] = (
@@ -120,20 +120,19 @@ def _compared(
     return rows, pair
 
 
+def _curves(first: Calibration, difference: Difference) -> list[str]:
+    """Return the name of the curve that each shared parameter is a figure of; empty: none."""
+    number = Counter(parameter.identity[:3] for parameter in first.model.parameters)
+    shared = [first.model.parameters[k] for k in difference.first]
+    return [place_name(p.effect, p.joint, p.part) if number[p.identity[:3]] > MANY else "" for p in shared]
+
+
 def same_robot(first: Calibration, second: Calibration) -> Literal["the same", "another file", "another one"]:
     """Return whether two runs are of one robot, according to their robot files."""
     if robot_digest(first.robot) == robot_digest(second.robot):
         return "the same"
     kinds = [(run.robot.name, [joint.kind for joint in run.robot.joints]) for run in (first, second)]
     return "another file" if kinds[0] == kinds[1] else "another one"
-
-
-def _holm(p: np.ndarray) -> np.ndarray:
-    """Return the mask of significant p-values, corrected for multiple tests by Holm's method (1979)."""
-    order = np.argsort(p)
-    rejected = np.zeros(len(p), dtype=bool)
-    rejected[order] = np.logical_and.accumulate(p[order] <= DIFFERENT / (len(p) - np.arange(len(p))))
-    return rejected
 
 
 def _settings(runs: Sequence[Calibration], names: Sequence[str]) -> tuple[Setting, ...]:
