@@ -274,6 +274,6 @@ def pytest_collection_finish():
 
 
 def pytest_collection_modifyitems(items):
-    """Begin with the longest, whole studies and pages, so that no worker is left alone with them at the end."""
-    longest = ("test_studies.py", "test_docs.py", "test_notebook.py")
-    items.sort(key=lambda item: longest.index(item.path.name) if item.path.name in longest else len(longest))
+    """Begin with the longest, pages and whole diagnoses, so that no worker is left alone with them at the end."""
+    longest = ("test_docs.py", "test_studies.py", "test_notebook.py", "hidden", "effects")
+    items.sort(key=lambda item: next((k for k, part in enumerate(longest) if part in item.path.parts), len(longest)))

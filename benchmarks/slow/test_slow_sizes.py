@@ -12,6 +12,7 @@ from calflow.diagnosis.background import BackgroundBasis, background
 from calflow.diagnosis.unexplained import _together
 from calflow.estimation.field_gain import gain_of
 from diagnosis.test_far_larger import assert_comes_back, assert_held
+from diagnosis.test_noise_model import assert_no_joint
 from diagnosis.test_objects_moved import assert_knocked, first_steps, lengths
 from diagnosis.test_unexplained import fitted
 from estimation.test_residual_field import HIGH, LOW, NOISE
@@ -56,6 +57,13 @@ def test_held_out_rows_about_a_step_are_not_judged(tmp_path):
     last = accuracy[accuracy["split"] == "holdout"].iloc[-1]
     assert last["n"] == held.sum() - 9
     assert last["max_mm"] < 0.3
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("seed", range(3))
+def test_a_device_noisier_along_one_axis_is_no_joint_that_does_not_repeat(axis, seed):
+    """Fails if the depth of a camera, which scatters more than its image, is told as a joint that moves the tool that way."""
+    assert_no_joint(axis, seed)
 
 
 def test_noise_looks_unexplained_as_often_as_stated():

@@ -75,9 +75,10 @@ def noisy_on_wednesday(table):
 def of_residuals(seen, significance):
     """The growth that residuals tell, unless joints do not repeat beside it."""
     grown = noise_of_residuals(seen)
-    beside = seen.weighed(grown.sigma(seen.data, seen.device)) if grown else seen
-    joints = Standstills.of(beside, BackgroundBasis.of(seen)).joints
-    return grown if grown and grown.p < significance and not len(joints) else None
+    if grown is None or grown.p >= significance:
+        return None
+    beside = seen.weighed(grown.sigma(seen.data, seen.device))
+    return None if len(Standstills.of(beside, BackgroundBasis.of(seen)).joints) else grown
 
 
 def none(table):
@@ -275,9 +276,13 @@ def test_a_misfit_where_one_session_measured_is_not_its_noise():
 
 
 @pytest.mark.parametrize("axis", range(3))
-@pytest.mark.parametrize("seed", range(3))
-def test_a_device_noisier_along_one_axis_is_no_joint_that_does_not_repeat(axis, seed):
+def test_a_device_noisier_along_one_axis_is_no_joint_that_does_not_repeat(axis):
     """Fails if the depth of a camera, which scatters more than its image, is told as a joint that moves the tool that way."""
+    assert_no_joint(axis, seed=axis)
+
+
+def assert_no_joint(axis: int, seed: int) -> None:
+    """A device that is noisier along an axis is told as no joint; benchmarks/slow has the other draws."""
     rng = np.random.default_rng(seed)
     seen = fitted(1, lambda table: 4 * SIGMA * rng.standard_normal((len(table), 1)) * np.eye(3)[axis])
     assert not Standstills.of(seen, BackgroundBasis.of(seen)).at_rest(2e-3)

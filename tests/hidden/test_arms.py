@@ -95,10 +95,14 @@ class Arms:
         )
 
     def at(self, q: Array) -> tuple[list[Array], list[Array]]:
-        """The frames of the joints, turned, and of the links, the base's first."""
+        """The frames of the joints, turned, and of the links, the base's first, (n, 4, 4) each, by joint angles (n, 9)."""
         joints, links = [], [np.eye(4)]
         for i, parent in enumerate(PARENTS):
-            joints.append(links[parent] @ self.before[i] @ frame(Rotation.from_rotvec([0, 0, q[i]])))
+            turn = np.tile(np.eye(4), (len(q), 1, 1))
+            turn[:, 0, 0] = turn[:, 1, 1] = np.cos(q[:, i])
+            turn[:, 1, 0] = np.sin(q[:, i])
+            turn[:, 0, 1] = -turn[:, 1, 0]
+            joints.append(links[parent] @ self.before[i] @ turn)
             links.append(joints[i] @ self.after[i])
         return joints, links
 
@@ -106,30 +110,30 @@ class Arms:
         """Where a point of a link is, (n, 3), by joint angles (n, 9) as they are; the base at rest."""
         return point_of_link(self.before, self.after, PARENTS, q, link, point)
 
-    def torque(self, q: Array, carries: bool) -> Array:
-        """What gravity exerts on each joint [Nm], body by body, down to the base."""
+    def torque(self, q: Array, carries: Array) -> Array:
+        """What gravity exerts on each joint (n, 9) [Nm], body by body, down to the base; carries (n,): the load, or not."""
         joints, links = self.at(q)
-        found = np.zeros(9)
+        found, whole = np.zeros(q.shape), np.ones(len(q))
         bodies = [
-            (i + 1, mass, (-link[1] / 2, 0, 0.02))
+            (i + 1, mass * whole, (-link[1] / 2, 0, 0.02))
             for i, (mass, link) in enumerate(zip(self.masses, (TORSO, *ARM, *ARM), strict=True))
         ]
-        for link, mass, centre in [*bodies, *([(9, LOAD, LOAD_AT)] if carries else [])]:
-            place = (links[link] @ [*centre, 1.0])[:3]
+        for link, mass, centre in [*bodies, (9, LOAD * carries, LOAD_AT)]:
+            place = (links[link] @ [*centre, 1.0])[:, :3]
             while link:
-                axis, origin = joints[link - 1][:3, 2], joints[link - 1][:3, 3]
-                found[link - 1] += axis @ np.cross(place - origin, mass * GRAVITY)
+                axis, origin = joints[link - 1][:, :3, 2], joints[link - 1][:, :3, 3]
+                found[:, link - 1] += mass * (axis * np.cross(place - origin, GRAVITY)).sum(axis=1)
                 link = PARENTS[link - 1]
         return found
 
-    def seen(self, q: Array, carries: bool, marker: str, hidden: Callable[[Array, Array], Array]) -> Array:
-        """Where a marker is (3,) [m] once the springs have given way; hidden is what is wrong besides, by angles and torques."""
+    def seen(self, q: Array, carries: Array, marker: str, hidden: Callable[[Array, Array], Array]) -> Array:
+        """Where a marker is (n, 3) [m] once the springs have given way; hidden is what is wrong besides, by angles and torques."""
         turned = q
         for _ in range(8):
             torque = self.torque(turned, carries)
             turned = q + self.compliance * torque + hidden(q, torque)
         link, point = self.markers[marker]
-        return (self.base @ self.at(turned)[1][link] @ [*point, 1.0])[:3]
+        return np.asarray((self.base @ self.at(turned)[1][link] @ [*point, 1.0])[:, :3])
 
 
 def measured(seed: int, hidden: Callable[[Array, Array], Array], poses: int = 70) -> cf.Measurements:
@@ -138,7 +142,7 @@ def measured(seed: int, hidden: Callable[[Array, Array], Array], poses: int = 70
     real, of = Arms.made(rng), robot()
     q, carries = rng.uniform(*of.limits.T, (poses, 9)), rng.uniform(size=poses) < 0.5
     rows = [(k, name) for k in range(poses) for name in HANDS]
-    position = np.array([real.seen(q[k], bool(carries[k]), name, hidden) for k, name in rows])
+    position = np.stack([real.seen(q, carries, name, hidden) for name in HANDS], axis=1).reshape(-1, 3)
     position += NOISE * rng.normal(size=position.shape)
     return cf.Measurements.from_arrays(
         of, q[[k for k, _ in rows]], position, pose=[k for k, _ in rows], marker=[name for _, name in rows],
@@ -167,7 +171,7 @@ def touching(seed: int, starts: int = 600) -> cf.Measurements:
 
 def nothing(q: Array, torque: Array) -> Array:
     """Nothing is wrong."""
-    return np.zeros(9)
+    return np.zeros(q.shape)
 
 
 def eccentric(q: Array, torque: Array) -> Array:
@@ -209,15 +213,15 @@ def test_two_arms_are_identified_to_the_noise(found):
 def test_each_hand_is_predicted_and_brought_to_its_target(found, real, hand):
     """Fails if a hand is predicted as the other, with a load or springs that are not its own, or its joints are not those moved."""
     rng = np.random.default_rng(8)
-    q = rng.uniform(-1.6, 1.6, (20, 9))
-    aim = np.array([real.seen(row, True, hand, nothing) for row in q])
+    q, loaded = rng.uniform(-1.6, 1.6, (20, 9)), np.ones(20)
+    aim = real.seen(q, loaded, hand, nothing)
     predicted = found.predict(q, marker=hand, payload="box")
     expected = np.sqrt((predicted.sd**2).sum(axis=1).mean())
     assert 0.3 * expected < rms(predicted.position - aim) < 1.5 * expected < 1.5 * NOISE
     begun = q + 0.02 * rng.standard_normal(q.shape)
     commands = found.compensate(aim, start=begun, marker=hand, payload="box")
     assert commands.reached.all()
-    landed = np.array([real.seen(row, True, hand, nothing) for row in commands.readings])
+    landed = real.seen(commands.readings, loaded, hand, nothing)
     assert rms(landed - aim) < 1.5 * expected
     others = {"left": slice(5, 9), "right": slice(1, 5)}[hand]
     np.testing.assert_allclose(commands.readings[:, others], begun[:, others], atol=1e-9)
