@@ -11,6 +11,8 @@ import calflow as cf
 from calflow.diagnosis.background import BackgroundBasis, background
 from calflow.diagnosis.unexplained import _together
 from calflow.estimation.field_gain import gain_of
+from deployment.test_figures_alone import SIGMA as OF_LEVELS
+from deployment.test_figures_alone import worn
 from diagnosis.test_far_larger import assert_comes_back, assert_held
 from diagnosis.test_noise_model import assert_no_joint
 from diagnosis.test_objects_moved import assert_knocked, first_steps, lengths
@@ -57,6 +59,24 @@ def test_held_out_rows_about_a_step_are_not_judged(tmp_path):
     last = accuracy[accuracy["split"] == "holdout"].iloc[-1]
     assert last["n"] == held.sum() - 9
     assert last["max_mm"] < 0.3
+
+
+def test_rows_that_may_be_before_a_step_judge_no_level():
+    """Fails if held-out rows, of which no fitted one tells whether the device had moved, count as what commands miss by, or are
+    drawn as its errors."""
+    robot, data = worn()
+    row = np.arange(len(data))
+    aside = (row % 5 == 0) | ((row >= 55) & (row < 75))
+    table = data.table.assign(
+        split=np.where(aside, "holdout", "train"), order=row + 1.0, x=data.table.x + 2e-3 * (row >= 70)
+    )
+    found = cf.identify(robot, replace(data, table=table), ["geometry"], starts=1).diagnose(catalogue=["frame-step"])
+    assert [finding.cause for finding in found.findings] == ["frame-step"]
+    judged = [row for row in found.accuracy if row.split == "holdout"][-1]
+    assert found.levels.by("commands").mean == pytest.approx(judged.mean_mm)
+    assert found.levels.by("commands").mean < 3e3 * OF_LEVELS
+    assert found.material().largest.max() == pytest.approx(judged.max_mm)
+    assert np.nanmax(np.linalg.norm(found.material().values, axis=1)) < 10 * 1e3 * OF_LEVELS
 
 
 @pytest.mark.parametrize("axis", range(3))

@@ -18,7 +18,7 @@ from calflow.model import build
 from conftest import _measured, small  # noqa: F401, fixtures
 from effects.test_axis_straightness import ON_A_RAIL
 from hidden.devices import rows, written
-from stages.test_mixtures import WIRE, eccentricity_found, finished, lines_at_fault, study, tables  # noqa: F401, fixtures
+from stages.test_mixtures import CUPS, WIRE, eccentricity_found, finished, lines_at_fault, study, tables  # noqa: F401, fixtures
 from stages.test_select import selected
 from test_saved import Case, assert_identified_and_loaded, assert_loaded
 
@@ -55,6 +55,22 @@ def test_a_wire_alone(study):  # noqa: F811
     answer = folder.calflow("predict", folder / "runs", folder / "asked.csv", "--out", folder / "answer.csv")
     assert answer.code == 0, answer
     assert pd.read_csv(folder / "answer.csv")["sd_x_mm"].between(0, 3).all()
+
+
+def test_sockets_alone(study):  # noqa: F811
+    """Fails if any stage cannot do with touches, or misses an outlier or a cause in them."""
+    folder = study(CUPS)
+    found = finished(folder)
+    assert lines_at_fault(found) == {35}
+    assert eccentricity_found(found)
+    poses = pd.read_csv(folder / "runs" / "select" / "poses.csv")
+    apart = np.linalg.norm(
+        poses[["nominal_x_mm", "nominal_y_mm", "nominal_z_mm"]].to_numpy()[:, None]
+        - np.array([[600, 200, 300], [650, 200, 300]]),
+        axis=2,
+    )
+    assert (apart.min(axis=1) < 0.2).all()
+    assert len(set(apart.argmin(axis=1))) == 2
 
 
 def test_the_noise_of_a_session_is_loaded_as_it_was_saved(tmp_path):

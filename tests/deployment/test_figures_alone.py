@@ -160,21 +160,3 @@ def test_what_the_device_does_is_not_the_robots():
     assert levels.by("zeros and tool").mean == pytest.approx(
         unmoved.by("zeros and tool").mean, rel=0.2
     )  # what lengths miss tilts the frames, too
-
-
-def test_rows_that_may_be_before_a_step_judge_no_level():
-    """Fails if held-out rows, of which no fitted one tells whether the device had moved, count as what commands miss by, or are
-    drawn as its errors."""
-    robot, data = worn()
-    row = np.arange(len(data))
-    aside = (row % 5 == 0) | ((row >= 55) & (row < 75))
-    table = data.table.assign(
-        split=np.where(aside, "holdout", "train"), order=row + 1.0, x=data.table.x + 2e-3 * (row >= 70)
-    )
-    found = cf.identify(robot, replace(data, table=table), ["geometry"], starts=1).diagnose(catalogue=["frame-step"])
-    assert [finding.cause for finding in found.findings] == ["frame-step"]
-    judged = [row for row in found.accuracy if row.split == "holdout"][-1]
-    assert found.levels.by("commands").mean == pytest.approx(judged.mean_mm)
-    assert found.levels.by("commands").mean < 3e3 * SIGMA
-    assert found.material().largest.max() == pytest.approx(judged.max_mm)
-    assert np.nanmax(np.linalg.norm(found.material().values, axis=1)) < 10 * 1e3 * SIGMA

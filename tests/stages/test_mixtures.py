@@ -153,22 +153,6 @@ def lines_at_fault(found: dict[str, pd.DataFrame]) -> set[int]:
     return set(found["identify/faults"]["line"].dropna().astype(int))
 
 
-def test_sockets_alone(study):
-    """Fails if any stage cannot do with touches, or misses an outlier or a cause in them."""
-    folder = study(CUPS)
-    found = finished(folder)
-    assert lines_at_fault(found) == {35}
-    assert eccentricity_found(found)
-    poses = pd.read_csv(folder / "runs" / "select" / "poses.csv")
-    apart = np.linalg.norm(
-        poses[["nominal_x_mm", "nominal_y_mm", "nominal_z_mm"]].to_numpy()[:, None]
-        - np.array([[600, 200, 300], [650, 200, 300]]),
-        axis=2,
-    )
-    assert (apart.min(axis=1) < 0.2).all()
-    assert len(set(apart.argmin(axis=1))) == 2
-
-
 def test_two_stations_sockets_and_a_wire(study):
     """Fails if several devices cannot be mixed, a fault is told without its file, or their causes are not added up."""
     folder = study(STATION.format("A"), STATION.format("B"), CUPS, WIRE)
