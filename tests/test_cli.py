@@ -379,7 +379,7 @@ def test_a_run_ends_with_what_it_reached(finished):
         (effect_words(row.model), row.split, round(row.mean_mm, 3), round(row.max_mm, 3)) for row in table.itertuples()
     ]
     judged, gained = lines[4 + len(table) :][:2]
-    assert judged == "Calibrated: only the instrument's noise is left."
+    assert judged == "Calibrated: only measurement noise is left."
     assert gained.startswith("At poses that no fit has seen, calibration reduces the error from ")
     assert all(line.startswith("! ") for line in lines[6 + len(table) : -1])
     assert lines[-1] == f"results: {finished / 'runs'} (calflow report {finished / 'runs'} makes a PDF)"

@@ -283,7 +283,7 @@ SPEAKS: list[tuple[Rule, Mapping[str, object], int, str]] = [
     (usability.not_converged, diagnosed(converged=False, solver=Solver(status="Max_Iter", iterations=500)), 1,
      "the model that diagnose extended: its fit did not converge (IPOPT: Max_Iter"),
     (ranked.starts_disagree, summary(starts_agreeing=1), 2, "Only 1 of 3"),
-    (ranked.model_lacks, summary(reduced_chi2=9.0), 2, "larger than the instrument's noise explains"),
+    (ranked.model_lacks, summary(reduced_chi2=9.0), 2, "larger than measurement noise explains"),
     (ranked.model_lacks, summary(reduced_chi2=1.5, lack_of_fit_p=1e-6), 2, "something is missing in the model"),
     (ranked.noise_doubtful, summary(reduced_chi2=0.25), 3, "much smaller than the stated noise"),
     (usability.noise_contradicted, summary(noise_doubts=(DOUBT,)), 1, "Do not use this result. The stated noise, 40 mm"),
@@ -307,6 +307,8 @@ SPEAKS: list[tuple[Rule, Mapping[str, object], int, str]] = [
      {**promised(57, 0.65, missed=MISSED), "diagnose/findings.csv": to_frame([MISLABELLED], Finding)}, 2,
      "Check the measurement file: lines 1 and 2 fit payload 'full'"),
     (ranked.at_bound, {"identify/parameters.csv": parameter_table(at_bound=True)}, 2, "joint2.a"),
+    (ranked.at_bound, {"identify/parameters.csv": parameter_table(at_bound=True, parameter="tool.z", part="tool", joint=0)}, 2,
+     "would go beyond. Check where the robot file says that base and markers are."),
     (ranked.at_bound,
      {"identify/parameters.csv": parameter_table(at_bound=True, parameter="joint3.s", unit="rad/Nm", lower=0.0, upper=1e-6,
                                                  estimate=1e-10)}, 3, "Joint3.s came out at zero"),
@@ -399,10 +401,7 @@ def test_rule_is_silent_where_all_is_well(rule: Rule) -> None:
 
 def test_few_poses_are_not_as_good_as_the_device() -> None:
     """Fails if what is left at fitted poses decides, though few poses leave new ones to be missed by much more."""
-    assert (
-        judgement(results({**QUIET, **summary(new_poses_mm=0.08)}))
-        == "Calibrated: only the instrument's noise is left."
-    )
+    assert judgement(results({**QUIET, **summary(new_poses_mm=0.08)})) == "Calibrated: only measurement noise is left."
     few = judgement(results({**QUIET, **summary(new_poses_mm=0.356)}))
     assert few == "Calibrated with few poses: at new ones expect an RMS error of 0.356 mm."
     limited = judgement(results({**QUIET, **summary(new_poses_mm=0.356, new_poses_limit_mm=0.613)}))
@@ -419,7 +418,7 @@ def test_a_verdict_of_noise_alone_stands_beside_no_doubt_of_new_poses() -> None:
     for kept in (promised(57, 0.65), promised(45, 1e-8)):
         outcome = results({**QUIET, **summary(), "identify/accuracy.csv": worse, **kept})
         doubted = [*ranked.does_not_carry_over(outcome), *ranked.too_narrow(outcome)]
-        assert bool(doubted) == ("only the instrument's noise" not in judgement(outcome))
+        assert bool(doubted) == ("only measurement noise" not in judgement(outcome))
 
 
 def test_a_reader_is_not_told_that_nothing_matters_beside_what_was_found() -> None:

@@ -171,7 +171,7 @@ def test_a_lack_of_fit_is_the_first_thing_said(small: Context) -> None:
     """Fails if the model's lack of fit stands behind what was found, without its place, or reads as nothing found."""
     first, section = told(with_diagnosis(small, BACKLASH, MISFIT))
     said = (
-        "The error left is larger than the instrument's noise explains. It is largest where joint 2 is between 20 and 45 deg: "
+        "The error left is larger than measurement noise explains. It is largest where joint 2 is between 20 and 45 deg: "
         "0.2 mm against 0.1 mm elsewhere."
     )
     assert said in first

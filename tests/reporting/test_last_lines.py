@@ -42,7 +42,7 @@ def test_a_lack_of_fit_is_told_with_its_place(given):
         line for line in last_lines(RunOutcome(with_diagnosis(given, MISFIT).results)) if line.startswith("left over: ")
     )
     assert found == (
-        "left over: The error left is larger than the instrument's noise explains. It is largest where joint 2 is between "
+        "left over: The error left is larger than measurement noise explains. It is largest where joint 2 is between "
         "20 and 45 deg: 0.2 mm against 0.1 mm elsewhere."
     )
 

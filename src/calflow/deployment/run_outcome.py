@@ -31,7 +31,7 @@ from calflow.sampling.posterior import ChainSummary
 from calflow.sampling.task_points import TaskSummary
 
 FAULTS = "identify/faults.csv"
-MORE_THAN_NOISE = "The error left is larger than the instrument's noise explains"
+MORE_THAN_NOISE = "The error left is larger than measurement noise explains"
 Figures = tuple[float, float, float]  # mean, RMS and largest error
 
 

@@ -118,13 +118,13 @@ def judgement(outcome: RunOutcome) -> str:
     if summary.new_poses_mm is not None and summary.times_noise > 1 and not summary.lacks_fit:
         return f"Calibrated with few poses: at new ones expect an RMS error of {summary.at_new_poses}."
     if math.isnan(times):
-        return f"{USABLE}; the instrument's noise is not known."
+        return f"{USABLE}; the measurement noise is not known."
     if times <= ENOUGH and not summary.lacks_fit:
         if outcome.no_gain >= PARTLY:
             return (
                 f"{USABLE}; at {percent(outcome.no_gain)} of these poses no gain over the maker's figures is certain."
             )
-        return "Calibrated: only the instrument's noise is left."
+        return "Calibrated: only measurement noise is left."
     return f"{USABLE}; {'the model lacks something' if summary.lacks_fit else 'whether more than noise is left is not certain'}."
 
 

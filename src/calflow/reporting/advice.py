@@ -170,7 +170,7 @@ def noise_unknown(outcome: RunOutcome) -> Iterator[Advice]:
     if not outcome.summary.noise_known:
         sentence = (
             "Measure some poses again, coming back to each from elsewhere: at least "
-            f"{-(-MIN_REPEATS // 3)} repeats in all, better {REPEATS}. Or state the device's noise. Without either, neither the "
+            f"{-(-MIN_REPEATS // 3)} repeats in all, better {REPEATS}. Or state the measurement noise. Without either, neither the "
             "noise nor a gap in the model can be seen."
         )
         yield Advice(2, sentence, keys=f"sigma_{outcome.accuracy[0].unit}", poses=REPEATS)
@@ -261,7 +261,7 @@ def look_for_structure(outcome: RunOutcome) -> Iterator[Advice]:
     why = may_be if suspects else f"Nothing that was tested explains it{_nearest(outcome)}"
     sentence = (
         f"An error remains that depends on {outcome.structure}. {why}. Before you measure again, look for what changes with it: "
-        "hoses and cables, loose bolts, collisions, the instrument's support."
+        "hoses and cables, loose bolts, collisions, and what holds the instrument or is touched."
     )
     yield Advice(2, sentence)
 
@@ -287,7 +287,7 @@ def _look_there(outcome: RunOutcome) -> Advice:
     )
     sentence = (
         f"More is left than noise, and nothing that was tested explains it{_nearest(outcome)}.{loose} Measure again {where}, "
-        "coming back to some poses from elsewhere. What repeats is the robot's; what does not is the instrument's or the set-up's."
+        "coming back to some poses from elsewhere. What repeats is the robot's; what does not is the measurement's or the set-up's."
     )
     return Advice(2, sentence, keys="" if worst else "diagnose/residuals.csv has the errors", poses=REPEATS)
 
@@ -437,9 +437,12 @@ def at_bound(outcome: RunOutcome) -> Iterator[Advice]:
     zero = [row for row in pushed if row.lower == 0 and row.estimate < NEAR_ZERO * row.upper]
     if far := [row for row in pushed if row not in zero]:
         ranges = listed(list(dict.fromkeys(map(allowed_range, far))), 4)
+        look = "the dimensions and units in the robot file, and the payload's mass"
+        if all(row.effect == Geometry.id and not row.joint for row in far):
+            look = "where the robot file says that base and markers are"
         pushed_far = (
-            f"The data push {listed(list(map(meant, far)), 4)} to the end of the allowed range ({ranges}). Check the dimensions "
-            "and units in the robot file, and the payload's mass."
+            f"The data push {listed(list(map(meant, far)), 4)} to the end of the allowed range ({ranges}), and would go beyond. "
+            f"Check {look}."
         )
         yield Advice(2, pushed_far, AT_THE_DESK)
     if zero:

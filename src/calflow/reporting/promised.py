@@ -99,7 +99,7 @@ class Promised:
         middle, most = (1e3 * float(np.quantile(self.error, share)) for share in (0.5, 0.95))
         sentence = (
             f"Expected error at poses {self.where}: at most {mm(middle)} mm at half of the poses, {mm(most)} mm at 95 in 100 (root "
-            "mean square, without the instrument's noise)."
+            "mean square, without measurement noise)."
         )
         if self.outside.any():
             inside = ~self.outside

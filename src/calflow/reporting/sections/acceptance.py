@@ -23,7 +23,7 @@ KELVIN = 273.15
 OPEN = "open: not stated"
 SIGN = ("Calibrated by: name, date, signature", "Accepted by: name, date, signature")
 JUDGED = (
-    "Judged is the distance between the predicted and the measured position of the tool at the held-out poses, the instrument's "
+    "Judged is the distance between the predicted and the measured position of the tool at the held-out poses, the "
     "noise included. The robot comes this close only with corrected commands."
 )
 

@@ -136,7 +136,7 @@ def other_figures(material: Material) -> list[tuple[str, str]]:
     certainty, summary, unit = material.certainty, material.fit_summary, material.certainty.unit
     left = summary.discrepancies.get(unit, 0.0)
     sentences = [
-        ("Instrument noise:", f"a standard deviation of {certainty.noise}."),
+        ("Measurement noise:", f"a standard deviation of {certainty.noise}."),
         ("What is left:", leftover(summary.lack_of_fit, left, material.structure, summary.lacks_fit, unit)),
         ("How sure the model is:", certainty_words(certainty, summary.noise_known)),
     ]

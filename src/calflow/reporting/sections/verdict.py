@@ -52,7 +52,7 @@ from calflow.reporting.sections.task import answer
 from calflow.reporting.style import ACCENT, DARK, LIGHT, chart, mark_floor
 
 ASSUMED_SIZE = 1e-3  # relative error of a board's size by which its effect is told
-NOISE_UNKNOWN = "its noise is not known, so its share of the error is not known either"
+NOISE_UNKNOWN = "its size is not known, so its share of the error is not known either"
 ALL_KNOWN = "Nothing: the data determine every parameter."
 FINE = "Use it for the tools, loads and places that were measured."
 FINE_IN_SIMULATION = "Measure the real robot."
@@ -147,10 +147,10 @@ def how_sure(material: Material) -> list[tuple[str, str]]:
         else "at the fitted poses, as none were held out; at others expect more"
     )
     floor = certainty.noise_floor
-    alone = f"its noise alone would give a mean error of {mm(floor)} {certainty.unit}" if floor else NOISE_UNKNOWN
+    alone = f"it alone would give a mean error of {mm(floor)} {certainty.unit}" if floor else NOISE_UNKNOWN
     many = material.judged_steps[-1].n > len(material.largest)
     each = " Means are over all points; the figure shows the worst of each pose." if many else ""
-    sentences = [("Errors:", f"measured {of_poses}.{each}"), ("Instrument:", f"{alone}.")]
+    sentences = [("Errors:", f"measured {of_poses}.{each}"), ("Noise:", f"{alone}.")]
     no_gain = f" {no_gain_words(material.no_gain, 'that were measured')}"
     if no_gain.strip() and certainty.untold and not material.is_of_positions:
         axes = f"{listed(certainty.untold)} of the measuring frame"
@@ -183,7 +183,8 @@ def _when(material: Material) -> list[tuple[str, str]]:
 def where_words(certainty: Certainty) -> str:
     """Return words on the range of distances and heights over which the errors are known."""
     near, far, low, high = (number(end, ".2f") for end in (*certainty.reach_m, *certainty.heights_m))
-    return f"{near} to {far} m from axis 1, at heights of {low} to {high} m; nothing was tested beyond."
+    heights = f"heights of {low} to {high}" if low != high else f"a height of {low}"
+    return f"{near} to {far} m from axis 1, at {heights} m; nothing was tested beyond."
 
 
 def _stages_left_out(material: Material) -> list[str]:
