@@ -62,10 +62,11 @@ def test_rivals_are_fitted_in_the_causes_place(final):
 
 
 def test_what_cannot_be_told_from_an_unnamed_error_is_as_likely_one(final):
-    """Fails if an error left along a cause's input leaves its promise as it was, or its smooth errors as small as beside it."""
-    (without,) = fitted_alternatives([judged()], final, doubted=[ECCENTRIC])
+    """Fails if an unnamed error in a cause's place leaves its promise as it was, or its smooth errors as small as beside it."""
+    as_good = judged(Rival(UNEXPLAINED, 0, 9.0, None))
+    (without,) = fitted_alternatives([as_good], final)
     assert (without.gone, without.rival) == (ECCENTRIC, None)
-    assert without.probability == pytest.approx(judged().probability / 2)
+    assert without.probability == pytest.approx((as_good.probability + as_good.of_unnamed) / 2)
     alone, gone = final.smooth.variance, final.smooth.without([ECCENTRIC]).variance
     unsure = replace(final, doubted={ECCENTRIC: without.probability})
     between = final.with_smooth_errors((alone + gone) / 2)[1]

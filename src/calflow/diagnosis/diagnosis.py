@@ -18,7 +18,7 @@ from calflow.diagnosis.noise_model import Growth, NoiseLevels, noise_of_repeats,
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.stepwise import SHARES, CauseAcceptance, Stepwise, words
 from calflow.diagnosis.trial import Screened
-from calflow.diagnosis.unexplained import Standstills, UnexplainedStructure, doubtful, suspected, unexplained
+from calflow.diagnosis.unexplained import Standstills, UnexplainedStructure, suspected, unexplained
 from calflow.diagnosis.verdict import (
     ModelInReach,
     Verdict,
@@ -291,8 +291,7 @@ def search_causes(
         say(f"{words(suspect.cause)} remains a suspicion: it does not help at poses left out")
     ordered = (*deployed, *suspects)
     in_reach = models_in_reach(extended, ordered, beside, every, suspects)
-    in_doubt = [verdict.cause for verdict in deployed if doubtful(verdict.cause, extended.model, left)]
-    alternatives = fitted_alternatives(deployed, extended, suspects, in_reach, in_doubt)
+    alternatives = fitted_alternatives(deployed, extended, suspects, in_reach)
     doubted = {
         other.gone: other.probability
         for other in alternatives

@@ -127,12 +127,6 @@ def is_of_its_curve(left: UnexplainedStructure, cause: Cause) -> bool:
     return is_any_error_along(cause, left.inputs if left.inputs[0] == POSE else left.along)
 
 
-def doubtful(cause: Cause, model: Model, left: Sequence[UnexplainedStructure]) -> bool:
-    """Whether a cause cannot be told from an unnamed error: one is left along an input through which it acts."""
-    along = left_along(cause, model, left)
-    return along is not None and not is_of_its_curve(along, cause)
-
-
 def _alone(*parts: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(part[0] for part in parts if len(part) == 1))
 

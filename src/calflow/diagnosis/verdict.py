@@ -158,9 +158,8 @@ def named(cause: Hypothesis | Rival) -> NamedCause:
 
 
 def fitted_alternatives(
-    verdicts: Sequence[Verdict], final: Fitted, suspected: Sequence[Verdict] = (), in_reach: Sequence[ModelInReach] = (),
-    doubted: Collection[Cause] = (),
-) -> tuple[Alternative, ...]:  # fmt: skip
+    verdicts: Sequence[Verdict], final: Fitted, suspected: Sequence[Verdict] = (), in_reach: Sequence[ModelInReach] = ()
+) -> tuple[Alternative, ...]:
     """Return models with the likeliest rivals fitted in the causes' places, one at a time, except untestable rivals.
 
     Forms of a cause by other conditions of a row are rivals too. Suspected causes and their rivals are further alternatives, as are
@@ -178,9 +177,13 @@ def fitted_alternatives(
         for verdict in verdicts
         for probability, form in _forms_by_other_conditions(verdict, final.model)
     ]
-    # How well an unnamed error explains the data, its form being a guess, says which is likelier, but not by how much.
-    asked += [((verdict.probability + verdict.of_unnamed) / 2, verdict.cause, None) for verdict in verdicts
-              if verdict.cause in doubted or UNEXPLAINED in {rival.id for rival in verdict.rivals}]  # fmt: skip
+    # How well an unnamed error explains the data, its form being a guess, says which is likelier, but not by how much. One that is
+    # left beside a cause is another one, of which smooth errors say how large it may be elsewhere.
+    asked += [
+        ((verdict.probability + verdict.of_unnamed) / 2, verdict.cause, None)
+        for verdict in verdicts
+        if UNEXPLAINED in {rival.id for rival in verdict.rivals}
+    ]
     asked += [(suspect.probability, None, suspect.cause) for suspect in suspected]
     asked += [
         (probability, None, came)
