@@ -134,10 +134,8 @@ class Plan:
         self, place: Place, size: float, purpose: str, drawn: int = DRAWS_PER_CAUSE
     ) -> dict[Place | None, float]:
         """The chance that a cause is seen (None), and that it is told from each rival."""
-        seen, told = chances(
-            self.screening, self.family, ALARM, self.rng(purpose), size=size, draws=drawn, places=[place]
-        )
-        return {None: seen[place]} | {rival: chance for (_, rival), chance in told.items()}
+        told = chances(self.screening, self.family, ALARM, self.rng(purpose), size=size, draws=drawn, places=[place])
+        return {rival: chance for (_, rival), chance in told.items()}
 
     def measurements(self, points: np.ndarray) -> Measurements:
         """The rows of the plan with what the device saw (n, 3) [m]."""

@@ -20,14 +20,14 @@ from calflow.diagnosis import FALSE_ALARM
 from calflow.diagnosis.regressors import Candidate, H, Place, Regressors, TallMatrix, candidates_of
 from calflow.diagnosis.screening import Catalogue, Family, Screening
 from calflow.diagnosis.stepwise import SHARES, WITHIN
-from calflow.effects import Effect, effect_class
+from calflow.effects import effect_class
 from calflow.effects.cause import Cause
 from calflow.effects.wording import cause_name
 from calflow.estimation.probing import probed
 from calflow.files.deferred import pd
 from calflow.files.tables import column, to_frame
 from calflow.measurements.measurements import Measurements
-from calflow.model import Model, stated
+from calflow.model import stated
 from calflow.robot.robot import Robot
 
 RECORDS: dict[RecordedCondition, str] = {
@@ -42,6 +42,8 @@ ROOM_TEMPERATURE = 293.15  # K
 DRAWS_PER_CAUSE = 400  # simulated measurements per cause: standard error 0.015 of a probability of 0.9
 FORMS = 20  # largest number of a cause's variants, drawn at random
 TYPICAL_ERROR = 0.4  # in prior standard deviations, of fitted parameters (UR10 0.2, FANUC 0.4, UR5 1.1)
+# Probabilities of pairs: a true cause's place, and a rival's or nothing.
+Told = Mapping[tuple[Place, Place | None], float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,16 +67,11 @@ class MeasuringPlan:
         time = MINUTE * np.arange(n)
         temperature = ROOM_TEMPERATURE - WARM_UP * np.expm1(-time / TIME_CONSTANT)
         every = {"approach": came, "travel": far, "time": time, "temperature": temperature}
-        q = np.repeat(self.readings, each, axis=0)
-        conditions: dict[str, Any] = {
-            name: np.repeat(every[name], each, axis=0) for name in RECORDS if name in self.records
-        }
-        conditions |= {
-            "pose": np.repeat(np.arange(1, n + 1), each),
-            "payload": np.repeat(np.array(self.payloads), each),
-            "marker": np.tile(np.array(self.markers), n),
-        }
-        return Measurements.from_arrays(self.robot, q, np.zeros((len(q), 3)), **conditions)
+        rows: dict[str, np.ndarray] = {"pose": np.arange(1, n + 1), "payload": np.array(self.payloads)}
+        rows |= {name: values for name, values in every.items() if name in self.records}
+        conditions: dict[str, Any] = {name: np.repeat(values, each, axis=0) for name, values in rows.items()}
+        q, markers = np.repeat(self.readings, each, axis=0), np.tile(np.array(self.markers), n)
+        return Measurements.from_arrays(self.robot, q, np.zeros((len(q), 3)), marker=markers, **conditions)
 
     def additions(self, more: np.ndarray) -> Iterator[tuple[str, MeasuringPlan]]:
         """Yield each possible addition in words, the cheapest first, and the plan with it; more: readings of further poses."""
@@ -118,16 +115,15 @@ class IsolabilityCell:
 
 @dataclass(frozen=True, eq=False)
 class Isolability:
-    """The detection probability of each cause's place, and that of distinguishing each pair (true, rival).
+    """The probability of telling each cause's place from each rival's, or from nothing (None): that of detecting it.
 
-    causes: a form for each place; seen, told: these probabilities; lacking: unmet needs of tests; indistinguishable: by
-    place, the ids that data of this kind cannot distinguish from it, and what would (empty: another sensor or load).
-    A cause that the poses cannot test has its id alone as place, without a part.
+    causes: a form for each place; told: these probabilities of pairs (true, rival); lacking: unmet needs of tests;
+    indistinguishable: by place, the ids that data of this kind cannot distinguish from it, and what would (empty: another
+    sensor or load). A cause that the poses cannot test has its id alone as place, without a part.
     """
 
     causes: Mapping[Place, Cause]
-    seen: Mapping[Place, float]
-    told: Mapping[tuple[Place, Place], float]
+    told: Told
     lacking: Mapping[str, str]
     indistinguishable: Mapping[Place, Mapping[str, str]]
 
@@ -136,21 +132,25 @@ class Isolability:
         rows: list[IsolabilityCell] = []
         for cause in (*self.causes, *((name, "") for name in self.lacking)):
             own, alike = self.causes.get(cause), self.indistinguishable.get(cause, {})
-            rivals = [*(place for place in self.causes if own and place != cause), *((name, "") for name in alike)]
-            gaps = [None, *rivals]
-            chances = [self.chance_of(cause, rival) for rival in gaps]
-            worst, (usual, unit) = _worst(chances), _usual(own, size) if own else (None, "")
-            for k, (rival, chance) in enumerate(zip(gaps, chances, strict=True)):
+            others = [place for place in self.causes if own and place != cause]
+            rivals = [None, *others, *((name, "") for name in alike)]
+            chances = [self.chance_of(cause, rival) for rival in rivals]
+            # A cause that is not detected has no worse gap.
+            worst = 0 if chances[0] < ENOUGH or len(chances) == 1 else 1 + int(np.argmin(chances[1:]))
+            usual, unit = _usual(own, size) if own else (None, "")
+            for k, (rival, chance) in enumerate(zip(rivals, chances, strict=True)):
                 other = self.causes.get(rival, own) if rival else None  # one that is not testable is at the same joint
-                filled = _closing(tried, cause, rival) if k == worst else None
+                gap = k == worst and chance < ENOUGH
+                closing = (words for words, one in tried.items() if one.chance_of(cause, rival) >= ENOUGH)
+                addition = next(closing, "") if gap else ""
                 rows.append(
                     IsolabilityCell(
                         cause=cause[0], joint=own.joint or None if own else None, part=cause[1], size=usual, unit=unit,
                         rival=rival[0] if rival else "", rival_joint=other.joint or None if other else None,
                         rival_part=rival[1] if rival else "", chance=chance, enough=chance >= ENOUGH,
-                        needs=self._needs(cause, rival), worst=k == worst, addition=filled[0] if filled else "",
-                        chance_then=filled[1] if filled else None,
-                        words=self._words(cause, rival, filled, tried) if k == worst else "",
+                        needs=self._needs(cause, rival), worst=gap, addition=addition,
+                        chance_then=tried[addition].chance_of(cause, rival) if addition else None,
+                        words=self._words(cause, rival, addition, tried) if gap else "",
                     )
                 )  # fmt: skip
         return to_frame(rows, IsolabilityCell)
@@ -160,9 +160,9 @@ class Isolability:
 
         A cause without a part is represented by its best detected place, in a pair by the worst distinguished ones.
         """
-        true, others = ([place for place in self.seen if of in (place, (place[0], ""))] for of in (cause, rival))
+        true, others = ([place for place in self.causes if of in (place, (place[0], ""))] for of in (cause, rival))
         if rival is None:
-            return max((self.seen[place] for place in true), default=0.0)
+            return max((self.told[place, None] for place in true), default=0.0)
         return min((self.told.get((place, other), 0.0) for place in true for other in others), default=0.0)
 
     def _needs(self, cause: Place, rival: Place | None) -> str:
@@ -177,16 +177,17 @@ class Isolability:
             place[0], self.causes[place].joint if place in self.causes else 0, place[1] if several else ""
         )
 
-    def _words(
-        self, cause: Place, rival: Place | None, filled: tuple[str, float] | None, tried: Mapping[str, Isolability]
-    ) -> str:
+    def _words(self, cause: Place, rival: Place | None, addition: str, tried: Mapping[str, Isolability]) -> str:
         what = "detected" if rival is None else f"distinguished from {self._name(rival)}"
         needs = self._needs(cause, rival)
         how = f"not {what}: it takes {needs}" if needs else f"{what} in {_percent(self.chance_of(cause, rival))}"
-        if filled:
-            seen = {} if cause[1] or rival else tried[filled[0]].seen  # the parts of a cause not testable before
-            shown = ", ".join(part for (id_, part), chance in seen.items() if id_ == cause[0] and chance >= ENOUGH)
-            return f"{self._name(cause)} is {how}; with {filled[0]} in {_percent(filled[1])}{f' ({shown})' if shown else ''}"
+        if addition:
+            then = tried[addition]
+            # The parts of a cause that was not testable before.
+            parts = [place for place in then.causes if place[0] == cause[0] and not (cause[1] or rival)]
+            shown = ", ".join(place[1] for place in parts if then.told[place, None] >= ENOUGH)
+            closed = f"with {addition} in {_percent(then.chance_of(cause, rival))}{f' ({shown})' if shown else ''}"
+            return f"{self._name(cause)} is {how}; {closed}"
         if needs:
             return f"{self._name(cause)} is {how}"
         means = ["at this size it takes a more precise device or more poses"]
@@ -218,22 +219,37 @@ def isolability(
         draws: number of simulated measurements per cause.
     """
     screening, catalogue = screened(effects, planned, data, rng)
-    seen, told_apart = chances(
-        screening, screening.family(rng), SHARES["causes"] * false_alarm, rng, size=size, draws=draws
-    )
+    told = chances(screening, screening.family(rng), SHARES["causes"] * false_alarm, rng, size=size, draws=draws)
     causes = {candidate.cause.place: candidate.cause for candidate in screening.whole.regressors.candidates}
-    indistinguishable = {place: _indistinguishable(cause, catalogue, causes) for place, cause in causes.items()}
-    return Isolability(causes, seen, told_apart, catalogue.lacking, indistinguishable)
+    tested = {(cause.id, cause.joint) for cause in causes.values()}
+    indistinguishable = {
+        place: {name: "" for name in cause.alike if (name, cause.joint) not in tested} | catalogue.untestable(cause.id)
+        for place, cause in causes.items()
+    }
+    return Isolability(causes, told, catalogue.lacking, indistinguishable)
 
 
 def screened(
     effects: Sequence[str], planned: Planned, data: Measurements, rng: np.random.Generator
 ) -> tuple[Screening[Cause], Catalogue]:
-    """Return the tests of all causes that a plan's measurements allow, and their catalogue."""
+    """Return the tests of all causes that a plan's measurements allow, and their catalogue.
+
+    Residuals are drawn noise; joints have the usual compliance, on which some causes depend.
+    """
     train = data.only(data.train)
     catalogue = Catalogue.of(train, effects)
     model = stated(data.robot, effects, train, (planned.observation,))
-    return Screening.of(_regressors(model, planned, train.conditions, catalogue.effects, rng)), catalogue
+    n, sd, point = len(model.parameters), model.prior_sd, model.nominal.copy()
+    for effect in model.effects:
+        if effect.inevitable:
+            point[model.columns(effect)] += sd[model.columns(effect)]
+    _, matrix = probed(planned.problem(model, point, train.conditions), point, catalogue.effects)
+    residual, held = rng.standard_normal(len(matrix)), TallMatrix.held(matrix[:, n:])
+    of_causes = np.array([parameter.prior_sd for effect in catalogue.effects for parameter in effect.declared])
+    regressors = Regressors(
+        residual, matrix[:, :n], sd**-2.0, np.zeros(n), 0.0, held, of_causes, candidates_of(catalogue.effects)
+    )
+    return Screening.of(regressors), catalogue
 
 
 def chances(
@@ -245,8 +261,8 @@ def chances(
     size: float = 1.0,
     draws: int = DRAWS_PER_CAUSE,
     places: Collection[Place] | None = None,
-) -> tuple[dict[Place, float], dict[tuple[Place, Place], float]]:
-    """Return each place's probability of detection, and each pair's (true, rival) of being distinguished, by common noise draws.
+) -> Told:
+    """Return the probability of telling each place from each rival, or from nothing, by common noise draws.
 
     false_alarm is the family-wise rate of the tests; places are those that may be true, by default all.
     """
@@ -260,8 +276,7 @@ def chances(
     for candidate in regressors.candidates:
         forms.setdefault(candidate.cause.place, []).append(candidate)
     true = {place: form for place, form in forms.items() if places is None or place in places}
-    seen = dict.fromkeys(true, 0)
-    told_apart = dict.fromkeys(((place, rival) for place in true for rival in forms if rival != place), 0)
+    told = {(place, rival): 0 for place in true for rival in (None, *forms) if rival != place}
     for place, form in true.items():
         tried = [form[k] for k in rng.permutation(len(form))[:FORMS]]
         for candidate, which in zip(tried, np.array_split(np.arange(draws), len(tried)), strict=True):
@@ -271,18 +286,15 @@ def chances(
             by_place = screening.trials(score, chi2, family, false_alarm)
             if place not in by_place:  # no form is testable
                 break
-            left_open = _finding_sets(by_place)
-            seen[place] += int(left_open[place].sum())
-            for rival in forms.keys() - {place}:  # an untestable place is never confused
-                told_apart[place, rival] += int((left_open[place] & ~left_open.get(rival, np.False_)).sum())
-    return {place: n / draws for place, n in seen.items()}, {pair: n / draws for pair, n in told_apart.items()}
-
-
-def _finding_sets(by_place: Mapping[Place, tuple[np.ndarray, np.ndarray]]) -> dict[Place, np.ndarray]:
-    """Return by place the draws (n_draws,) in which it is in the finding's set: the best that passes, and those near it."""
-    cost, passed = (np.array([values[k] for values in by_place.values()]) for k in (0, 1))
-    best = np.where(passed, cost, np.inf).min(axis=0)
-    return dict(zip(by_place, (cost - best < WITHIN) & np.isfinite(best), strict=True))
+            # A finding's set holds the best cause that passes, and those near it.
+            cost, passed = (np.array(values) for values in zip(*by_place.values(), strict=True))
+            best = np.where(passed, cost, np.inf).min(axis=0)
+            in_set: dict[Place | None, np.ndarray] = dict(
+                zip(by_place, (cost - best < WITHIN) & np.isfinite(best), strict=True)
+            )
+            for rival in {None, *forms} - {place}:  # an untestable place is never confused
+                told[place, rival] += int((in_set[place] & ~in_set.get(rival, np.False_)).sum())
+    return {pair: count / draws for pair, count in told.items()}
 
 
 def amplitudes(
@@ -294,27 +306,6 @@ def amplitudes(
     drawn = size * prior_sd[candidate.columns, None] * direction
     low, high = candidate.cause.bounds[:, :, None]
     return np.asarray(np.clip(np.where((drawn < low) | (drawn > high), -drawn, drawn), low, high))
-
-
-def _regressors(
-    model: Model, planned: Planned, conditions: np.ndarray, effects: Sequence[Effect], rng: np.random.Generator
-) -> Regressors[Cause]:
-    """Return the regressors of all candidates at rows of drawn noise, with the usual compliance, on which some causes depend."""
-    n, sd, point = len(model.parameters), model.prior_sd, model.nominal.copy()
-    for effect in model.effects:
-        if effect.inevitable:
-            point[model.columns(effect)] += sd[model.columns(effect)]
-    _, matrix = probed(planned.problem(model, point, conditions), point, effects)
-    residual, held = rng.standard_normal(len(matrix)), TallMatrix.held(matrix[:, n:])
-    prior_sd = np.array([parameter.prior_sd for effect in effects for parameter in effect.declared])
-    return Regressors(residual, matrix[:, :n], sd**-2.0, np.zeros(n), 0.0, held, prior_sd, candidates_of(effects))
-
-
-def _indistinguishable(cause: Cause, catalogue: Catalogue, tested: Mapping[Place, Cause]) -> dict[str, str]:
-    """Return the ids that no such data test, or distinguish from a cause, and what would."""
-    there = {(tested_cause.id, tested_cause.joint) for tested_cause in tested.values()}
-    alike = {name: "" for name in cause.alike if (name, cause.joint) not in there}
-    return alike | catalogue.untestable(cause.id)
 
 
 def isolability_summary(table: pd.DataFrame) -> str:
@@ -331,20 +322,10 @@ def isolability_gaps(table: pd.DataFrame) -> list[str]:
     return list(gaps.sort_values("chance", kind="stable")["words"])
 
 
-def _worst(chances: Sequence[float]) -> int | None:
-    worst = 0 if chances[0] < ENOUGH or len(chances) == 1 else 1 + int(np.argmin(chances[1:]))
-    return worst if chances[worst] < ENOUGH else None
-
-
 def _usual(cause: Cause, size: float) -> tuple[float, str]:
     unit = cause.declared[0].unit
     same = [parameter.prior_sd for parameter in cause.declared if parameter.unit == unit]
     return size * float(np.sqrt(np.mean(np.square(same)))), unit
-
-
-def _closing(tried: Mapping[str, Isolability], cause: Place, rival: Place | None) -> tuple[str, float] | None:
-    then = ((words, isolability.chance_of(cause, rival)) for words, isolability in tried.items())
-    return next((count for count in then if count[1] >= ENOUGH), None)
 
 
 def _percent(chance: float) -> str:
