@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calflow.design.augmentation import Augmentation
 from calflow.design.optimality import Criterion, ToolError, information
 
 GAP = 1e-3  # gap of the squared loss to its bound at which the relaxed design has converged
@@ -212,12 +213,11 @@ def greedy(jacobians: np.ndarray, prior: np.ndarray, number: int, criterion: Cri
 
     jacobians (n_candidates, n_axes, n_parameters) are whitened, prior (n_parameters, n_parameters) is the prior information.
     """
-    basis = _basis(jacobians, prior, [], criterion)
+    added = _augmentation(jacobians, prior, [], criterion)
     chosen: list[int] = []
     for _ in range(number):
-        best = _best(jacobians, basis, chosen, criterion)[0]
-        chosen.append(best)
-        basis = updated(basis, jacobians[best], basis[best], +1)
+        chosen.append(_best(added, chosen, criterion)[0])
+        added = added.updated(chosen[-1])
     return chosen
 
 
@@ -225,38 +225,27 @@ def exchange(jacobians: np.ndarray, prior: np.ndarray, chosen: Sequence[int], cr
     """Swap chosen poses for better candidates until no swap lowers the loss (Fedorov 1972, one pose at a time)."""
     chosen = list(chosen)
     for _ in range(EXCHANGE_PASSES):
-        swapped = False
-        basis = _basis(jacobians, prior, chosen, criterion)  # recomputed against accumulated rounding
-        for k, old in enumerate(chosen):
-            without = updated(basis, jacobians[old], basis[old], -1)
-            best, gains = _best(jacobians, without, [*chosen[:k], *chosen[k + 1 :]], criterion)
+        before = list(chosen)
+        added = _augmentation(jacobians, prior, chosen, criterion)  # recomputed against accumulated rounding
+        for k, old in enumerate(before):
+            without = added.updated(old, -1)
+            best, gains = _best(without, [*chosen[:k], *chosen[k + 1 :]], criterion)
             if gains[best] > (1 + SMALLEST_GAIN) * gains[old]:
-                chosen[k] = best
-                swapped = True
-                basis = updated(without, jacobians[best], without[best], +1)
-        if not swapped:
+                chosen[k], added = best, without.updated(best)
+        if chosen == before:
             break
     return chosen
 
 
-def _best(
-    jacobians: np.ndarray, basis: np.ndarray, taken: Sequence[int], criterion: Criterion
-) -> tuple[int, np.ndarray]:
+def _best(added: Augmentation, taken: Sequence[int], criterion: Criterion) -> tuple[int, np.ndarray]:
     """Return the candidate of largest gain, except those taken, and the gains of all."""
-    n = jacobians.shape[2]
-    gains = criterion.gains(basis[:, :, :n] @ jacobians.transpose(0, 2, 1), basis[:, :, n:])
+    gains = criterion.gains(added)
     gains[list(taken)] = -np.inf
     return int(np.argmax(gains)), gains
 
 
-def _basis(jacobians: np.ndarray, prior: np.ndarray, chosen: Sequence[int], criterion: Criterion) -> np.ndarray:
-    """Return J C [I, root] of all candidates, C the covariance with the chosen poses, (n, n_axes, n_parameters + r)."""
+def _augmentation(
+    jacobians: np.ndarray, prior: np.ndarray, chosen: Sequence[int], criterion: Criterion
+) -> Augmentation:
     covariance = np.linalg.inv(information(jacobians[list(chosen)], prior))
-    return np.asarray(jacobians @ np.hstack([covariance, covariance @ criterion.root]))
-
-
-def updated(basis: np.ndarray, pose: np.ndarray, gain: np.ndarray, sign: int) -> np.ndarray:
-    """Return the basis after adding (+1) or removing (-1) a pose (n_axes, n_parameters), by Woodbury's formula."""
-    n = pose.shape[1]
-    inner = np.linalg.solve(np.eye(len(pose)) + sign * gain[:, :n] @ pose.T, gain)
-    return np.asarray(basis - sign * (basis[:, :, :n] @ pose.T) @ inner)
+    return Augmentation.of(jacobians, covariance, jacobians @ (covariance @ criterion.root))

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
 
 import numpy as np
 import scipy
 
+from calflow.design.augmentation import Augmentation
 from calflow.diagnosis.stepwise import WITHIN
 
 Pair = tuple[int, int]  # of explanations, by their numbers: the true and the fitted one
@@ -48,17 +48,13 @@ class TCriterion:
 class Discrimination:
     """Explanations of the same data, each fitted to the effects of all, and the poses that may be measured next.
 
-    squared (n, n) [sd²]: squared separations by the true and the fitted one; costs (n,): of each, up to a common constant. By the
-    fitted one, slopes (n_poses, n_units, n_fit): Jacobian J of the poses; covariance (n_fit, n_fit): of its parameters, C; spread
-    (n_poses, n_units, n_units): I + J C Jᵀ; left (n_poses, n_units, n): residual of its best fit to the effect of each.
+    squared (n, n) [sd²]: squared separations by the true and the fitted one; costs (n,): of each, up to a common constant; by the
+    fitted one, the poses that may be added, with the residuals of its best fit to the effect of each.
     """
 
     squared: np.ndarray
     costs: np.ndarray
-    slopes: tuple[np.ndarray, ...]
-    covariance: tuple[np.ndarray, ...]
-    spread: tuple[np.ndarray, ...]
-    left: tuple[np.ndarray, ...]
+    added: tuple[Augmentation, ...]
 
     @staticmethod
     def between(
@@ -82,18 +78,18 @@ class Discrimination:
         true = np.zeros((len(products), len(own)))
         for k, (columns, effect) in enumerate(zip(own, effects, strict=True)):
             true[columns, k] = effect
-        moments, squared, every = products @ true, [], []
+        moments, squared, added = products @ true, [], []
         for columns in own:
             fit = np.concatenate([common, columns])
             covariance = np.linalg.inv(products[np.ix_(fit, fit)] + np.eye(len(fit)))
             imitating = covariance @ moments[fit]
             squared.append((true * moments).sum(axis=0) - (moments[fit] * imitating).sum(axis=0))
             slopes = new[..., fit]
-            spread = np.eye(new.shape[1]) + slopes @ covariance @ slopes.transpose(0, 2, 1)
-            every.append((slopes, covariance, spread, new @ true - slopes @ imitating))
-        if not all(np.isfinite(values).all() for values in (*squared, *chain.from_iterable(every))):
+            added.append(Augmentation.of(slopes, covariance, new @ true - slopes @ imitating))
+        figures = [*squared, *(values for each in added for values in (each.inside, each.moved))]
+        if not all(np.isfinite(values).all() for values in figures):
             raise ArithmeticError("what one cause does and another imitates is not finite")
-        return Discrimination(np.transpose(squared), np.array(costs), *zip(*every, strict=True))
+        return Discrimination(np.transpose(squared), np.array(costs), tuple(added))
 
     def __getitem__(self, pair: Pair) -> TCriterion:
         true, fitted = pair
@@ -103,31 +99,22 @@ class Discrimination:
         """Return the smaller of a pair's two criteria, with either explanation as the true one."""
         return min((self[pair], self[pair[::-1]]), key=lambda criterion: criterion.lead)
 
-    def growth(self, pair: Pair) -> np.ndarray:
-        """Return the increase of a pair's squared separation by each further pose, shape (n_poses,)."""
-        true, fitted = pair
-        residual = self.left[fitted][..., true]
-        return np.asarray((residual * np.linalg.solve(self.spread[fitted], residual[..., None])[..., 0]).sum(axis=1))
-
     def measured(self, pose: int, fitted: Collection[int]) -> Discrimination:
-        """Return the discrimination after one more pose, by some of the fitted explanations (Woodbury 1950)."""
-        squared, covariance, spread, left = self.squared.copy(), *map(list, (self.covariance, self.spread, self.left))
+        """Return the discrimination after one more pose, by some of the fitted explanations."""
+        squared, added = self.squared.copy(), list(self.added)
         for k in fitted:
-            inverse, residual = np.linalg.inv(spread[k][pose]), left[k][pose]
-            gain = covariance[k] @ self.slopes[k][pose].T
-            shared = np.tensordot(self.slopes[k], gain, 1)  # one product; `@` makes one for each pose
-            squared[:, k] += (residual * (inverse @ residual)).sum(axis=0)
-            covariance[k] = covariance[k] - gain @ inverse @ gain.T
-            spread[k] = spread[k] - shared @ inverse @ shared.transpose(0, 2, 1)
-            left[k] = left[k] - shared @ (inverse @ residual)
-        return replace(self, squared=squared, covariance=tuple(covariance), spread=tuple(spread), left=tuple(left))
+            inside, residual = added[k].inside[pose], added[k].moved[pose]
+            squared[:, k] += (residual * np.linalg.solve(np.eye(len(inside)) + inside, residual)).sum(axis=0)
+            added[k] = added[k].updated(pose)
+        return replace(self, squared=squared, added=tuple(added))
 
     def propose(self, pairs: Sequence[Pair], number: int) -> tuple[list[int], dict[Pair, TCriterion]]:
         """Choose poses one by one for the smallest criterion; return them and each pair's smaller criterion after them."""
         now, either = self, [key for pair in pairs for key in (pair, pair[::-1])]
         chosen = list[int]()
-        for _ in range(min(number, len(self.left[0]))):
-            growth = now.growth(min(either, key=lambda pair: now[pair].lead))
+        for _ in range(min(number, len(self.added[0].moved))):
+            true, fitted = min(either, key=lambda pair: now[pair].lead)
+            growth = now.added[fitted].explained([true])
             growth[chosen] = -1.0
             chosen.append(int(np.argmax(growth)))
             now = now.measured(chosen[-1], {fitted for _, fitted in either})
