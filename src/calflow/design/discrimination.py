@@ -137,7 +137,7 @@ def question(
     untested, tested = ([rival for rival in verdict.others if bool(rival.score) is known] for known in (False, True))
     asked, rest = tested[:MOST_RIVALS], tested[MOST_RIVALS:]
     few = f"poses are sought for the {MOST_RIVALS} nearest rivals only"
-    rows = [_separation(cause, rival, means=_means_untested(rival, fitted)) for rival in untested]
+    rows = [_separation(cause, rival, means=_means_untested(rival, fitted.data)) for rival in untested]
     rows += [_separation(cause, rival, means=_means(cause, rival), unasked=few) for rival in rest]
     if not asked:
         return Question(cause, tuple(rows))
@@ -156,20 +156,19 @@ def question(
 
 def _means(cause: Cause, rival: Rival) -> str:
     """Return what to do at the robot where no pose separates a cause and a rival."""
-    return ". Or ".join(dict.fromkeys(filter(None, (cause.effect.told_by, _told_by(rival))))) or ANY_MEANS
+    other = effect_class(rival.id)  # None for an unnamed structure
+    every = (cause.effect.told_by, other.told_by if other else "")
+    return ". Or ".join(dict.fromkeys(filter(None, every))) or ANY_MEANS
 
 
-def _told_by(rival: Rival) -> str:
-    kind = effect_class(rival.id)  # None for an unnamed structure
-    return kind.told_by if kind else ""
-
-
-def _means_untested(rival: Rival, fitted: Fitted) -> str:
+def _means_untested(rival: Rival, data: Measurements) -> str:
     """Return what to do at the robot about a rival that the data cannot test, by what they lack, in plain words."""
-    robot, data, kind = fitted.data.robot, fitted.data, effect_class(rival.id)
-    asks = " and ".join(NEEDS[need].plain for need in kind.asks(robot, data)) if kind else ""
-    lacking = asks or (kind.lacking(robot, data) if kind else "")
-    return f"tell them apart by {lacking}" if lacking else _told_by(rival) or ANY_MEANS
+    kind = effect_class(rival.id)
+    if kind is None:
+        return ANY_MEANS
+    asks = " and ".join(NEEDS[need].plain for need in kind.asks(data.robot, data))
+    lacking = asks or kind.lacking(data.robot, data)
+    return f"tell them apart by {lacking}" if lacking else kind.told_by or ANY_MEANS
 
 
 def _separation(
@@ -270,10 +269,7 @@ def poses_table(questions: Sequence[Question], fitted: Fitted) -> pd.DataFrame:
     names = reading_columns(robot)
     sides = [f"approach{i + 1}" for i in robot.driven] if "approach" in fitted.model.given else []
     rows: list[NextPose] = []
-    for question in questions:
-        if question.plan is None:
-            continue
-        plan, cause = question.plan, question.cause
+    for plan, cause in ((question.plan, question.cause) for question in questions if question.plan):
         first, second = [one for one, _ in plan.left_open], [other for _, other in plan.left_open]
         readings, table = np.round(shown_readings(robot, plan.poses.joints), 4), plan.poses.table
         for k, payload in enumerate(table["payload"]):

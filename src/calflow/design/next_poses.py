@@ -90,10 +90,10 @@ def uncertainties(
 
 
 def further_poses(
-    every: Sequence[Uncertainty], asked: Sequence[Question], choices: Measurements, measure: Measure, number: int
+    every: Sequence[Uncertainty], asked: Sequence[Question], measure: Measure, number: int
 ) -> Mapping[int, str]:
     """Choose candidates, by their numbers, with reasons in words: some separate rivals, others reduce the tool's variance."""
-    reasons = _discriminating(asked, choices, int(np.ceil(DISCRIMINATING_SHARE * number)))
+    reasons = _discriminating(asked, int(np.ceil(DISCRIMINATING_SHARE * number)))
     seen = np.concatenate([doubt.seen for doubt in every], axis=2)
     tool = np.concatenate([doubt.tool for doubt in every], axis=2)
     information_matrix = information(seen[list(reasons)], np.eye(seen.shape[2]))
@@ -106,16 +106,16 @@ def further_poses(
     return reasons
 
 
-def _discriminating(asked: Sequence[Question], choices: Measurements, most: int) -> dict[int, str]:
-    """Return the poses of all questions' plans, taken in turn, with what they are for."""
+def _discriminating(asked: Sequence[Question], most: int) -> dict[int, str]:
+    """Return the poses of all questions' plans, taken in turn, by their numbers among the choices, with what they are for."""
     plans = [(question, question.plan) for question in asked if question.plan]
     reasons: dict[int, str] = {}
     for k in range(most):
         for question, plan in plans:
             if k < len(plan.poses) and len(reasons) < most:
-                same = (choices.joints == plan.poses.joints[k]).all(axis=1)
                 rivals = ", ".join(named(rival).name for rival in plan.rivals)
-                reasons.setdefault(int(same.argmax()), f"distinguishes {named(question.cause).name} from {rivals}")
+                what = f"distinguishes {named(question.cause).name} from {rivals}"
+                reasons.setdefault(int(plan.poses.table.index[k]), what)
     return reasons
 
 
@@ -270,7 +270,7 @@ def next_step(
     readings = asked.choice(bare, planned.observation, drawing, 1)
     choices = rows_like(fitted.data, readings, (asked.payload,) * len(readings), drawing)
     every = uncertainties(fitted, causes, rivals, at_task, planned, choices)
-    chosen = further_poses(every, questions(diagnosis, data, rng, choices), choices, asked.measure, asked.number)
+    chosen = further_poses(every, questions(diagnosis, data, rng, choices), asked.measure, asked.number)
     return NextStep(verdict, numbered_on(_table(bare, choices, chosen, asked), data), calibrated)
 
 
