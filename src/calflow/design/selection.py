@@ -86,9 +86,9 @@ class PlannedPose:
     travel: Mapping[str, float] = column(
         "way of each joint since it last turned back", "as named", name="travel{joint}_{deg|mm}"
     )
-    nominal_x_mm: float = column("the nominal marker's position in the measuring frame", "mm")
-    nominal_y_mm: float = column("the same along y", "mm")
-    nominal_z_mm: float = column("the same along z", "mm")
+    nominal: Mapping[str, float] = column(
+        "the nominal marker's position in the measuring frame", "mm", name="nominal_{x|y|z}_mm"
+    )
     marker: str = column("its name")
     payload: str = column("the load; empty: none")
 
@@ -226,16 +226,13 @@ def planned_poses(
 ) -> pd.DataFrame:
     """Return the table of poses in measuring order, with vias (n, n_joints), without which the first approach is unknown, 0."""
     robot = model.robot
-    table: dict[str, object] = {"pose": np.arange(1, len(readings) + 1)}
-    names, shown = reading_columns(robot), np.round(shown_readings(robot, readings), 4)
-    table |= dict(zip(names, shown.T, strict=True))
     came, travel = reached(readings, reached_from)
-    for i in robot.driven:
-        table[f"approach{i + 1}"] = came[:, i].astype(int)
-    if reached_from is not None:
-        for stem, values in (("via", reached_from), ("travel", travel)):
-            columns = [f"{stem}{name.removeprefix('q')}" for name in names]
-            table |= dict(zip(columns, np.round(shown_readings(robot, values), 4).T, strict=True))
+    joints = {"q": readings} if reached_from is None else {"q": readings, "via": reached_from, "travel": travel}
     position = 1e3 * model.position(model.nominal, request.rows(model, readings))
+    table: dict[str, object] = {"pose": np.arange(1, len(readings) + 1)}
+    for stem, values in joints.items():
+        names = (stem + name.removeprefix("q") for name in reading_columns(robot))
+        table |= dict(zip(names, np.round(shown_readings(robot, values), 4).T, strict=True))
+    table |= {f"approach{i + 1}": came[:, i].astype(int) for i in robot.driven}
     table |= {f"nominal_{axis}_mm": np.round(position[:, i], 1) for i, axis in enumerate("xyz")}
     return typed(pd.DataFrame({**table, "marker": request.marker, "payload": request.payload}), PlannedPose)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -130,19 +131,16 @@ class PredictedError:
     high_mm: float = column("upper end of that interval", "mm")
     covered: bool = column("whether the error lies inside the interval")
     heldout_coverage: float = column("share of the held-out rows whose error lies inside; empty: none held out")
-    dx_mm: float = column(
-        "mean prediction minus measured position, along the measuring frame's x; empty: not measured", "mm"
+    difference: Mapping[str, float] = column(
+        "mean prediction minus measured position, along the measuring frame's axes; empty: not measured",
+        "mm",
+        name="d{x|y|z}_mm",
     )
-    dy_mm: float = column("the same along y", "mm")
-    dz_mm: float = column("the same along z", "mm")
-    covariance_xx_mm2: float = column(
-        "variance of the prediction along x, by the uncertainty of parameters and of causes", "mm2"
+    covariance: Mapping[str, float] = column(
+        "covariance of the prediction along two axes, or variance along one, by the uncertainty of parameters and of causes",
+        "mm2",
+        name="covariance_{xx|xy|xz|yy|yz|zz}_mm2",
     )
-    covariance_xy_mm2: float = column("covariance of x and y", "mm2")
-    covariance_xz_mm2: float = column("covariance of x and z", "mm2")
-    covariance_yy_mm2: float = column("variance along y", "mm2")
-    covariance_yz_mm2: float = column("covariance of y and z", "mm2")
-    covariance_zz_mm2: float = column("variance along z", "mm2")
     choice_share: float = column("share of these variances due to the uncertainty of causes (rivals)")
     unit: str = column("unit of the model's errors: mm, or where no lengths were measured mrad, px, …")
     error: float = column("as error_mm, in `unit`; the table has rows of that unit alone")
@@ -153,8 +151,7 @@ class PredictedError:
 
 def effective_samples(values: np.ndarray) -> np.ndarray:
     """Return effective sample sizes of values (n_ensembles, n_steps, n_walkers, n), each walker a chain (Vehtari et al. 2021)."""
-    ess, chains = _array_stats().ess, _by_walker(values)
-    return np.array([float(ess(chains[:, :, k])) for k in range(chains.shape[-1])])
+    return np.asarray(_array_stats().ess(_by_walker(values), chain_axis=0, draw_axis=1))
 
 
 def _by_walker(values: np.ndarray) -> np.ndarray:
@@ -284,7 +281,6 @@ class Posterior:
 
         R-hat compares the ensembles, each flattened, since only they are independent (Vehtari et al. 2021).
         """
-        array_stats = _array_stats()
         values = self.values
         n_ensembles, n_steps, n_walkers, n = values.shape
         flat = values.reshape(-1, n)
@@ -301,7 +297,7 @@ class Posterior:
                 "q025": quantiles[0],
                 "q500": quantiles[1],
                 "q975": quantiles[2],
-                "rhat": [float(array_stats.rhat(by_ensemble[:, :, k])) for k in range(n)],
+                "rhat": _array_stats().rhat(by_ensemble, chain_axis=0, draw_axis=1),
                 "ess": self.ess,
                 "prior_sensitivity": sensitivity(by_walker, prior),
                 "likelihood_sensitivity": sensitivity(by_walker, likelihood),

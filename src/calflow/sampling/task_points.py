@@ -6,7 +6,7 @@ it is taught at the measured poses, that is, without their mean there in the too
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -192,14 +192,14 @@ class TaskPoint:
         "distance of the nominal robot's prediction from it: the error without calibration", "mm"
     )
     expected_mm: float = column("mean of the remaining error", "mm")
-    sd_x_mm: float = column("root mean square of that error along the measuring frame's x", "mm")
-    sd_y_mm: float = column("the same along y", "mm")
-    sd_z_mm: float = column("the same along z", "mm")
+    sd: Mapping[str, float] = column(
+        "root mean square of that error along the measuring frame's axes", "mm", name="sd_{x|y|z}_mm"
+    )
     radius95_mm: float = column("95 % quantile of the error", "mm")
     turn_mrad: float = column("mean orientation error of the tool relative to the model", "mrad")
-    sd_turn_x_mrad: float = column("root mean square of that error about the tool's own x", "mrad")
-    sd_turn_y_mrad: float = column("the same about y", "mrad")
-    sd_turn_z_mrad: float = column("the same about z", "mrad")
+    sd_turn: Mapping[str, float] = column(
+        "root mean square of that error about the tool's own axes", "mrad", name="sd_turn_{x|y|z}_mrad"
+    )
     turn95_mrad: float = column("95 % quantile of the orientation error", "mrad")
     within: float = column("probability that the point meets the tolerances; empty: none stated")
     beyond: str = column("joints outside their measured range, and a payload that was not measured; empty: none")
