@@ -91,7 +91,7 @@ def test_the_relaxed_design_cannot_be_bettered():
     jacobians, tool = case(3, 700)
     rng = np.random.default_rng(4)
     for criterion in criteria(tool):
-        design = relaxed(jacobians, PRIOR, 9, criterion)
+        *_, design = relaxed(jacobians, PRIOR, 9, criterion)
         assert design.weights.sum() == pytest.approx(9)
         assert design.weights.min() >= 0
         assert design.weights.max() <= 1 + 1e-12

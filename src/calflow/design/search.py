@@ -44,21 +44,9 @@ class Relaxed:
     loss: float
 
 
-def relaxed(
-    jacobians: np.ndarray, prior: np.ndarray, number: int, criterion: Criterion, start: np.ndarray | None = None
-) -> Relaxed:
-    """Return the optimal relaxed design of a number of poses, from weights `start` if given, with the best bound met on the way.
-
-    Torsney's multiplicative algorithm (1983) over a few hundred candidates, to which those of largest sensitivity are added until
-    the equivalence theorem (Kiefer and Wolfowitz 1960) bounds the gap by a thousandth.
-    """
-    *_, last = _rounds(jacobians, prior, number, criterion, start)
-    return last
-
-
 def bound_allows(jacobians: np.ndarray, prior: np.ndarray, number: int, criterion: Criterion, loss: float) -> bool:
     """Return whether the relaxed design's bound permits that a number of poses reaches a loss, as soon as that is decided."""
-    for design in _rounds(jacobians, prior, number, criterion, None):
+    for design in relaxed(jacobians, prior, number, criterion):
         if design.bound > loss:
             return False
         if design.loss <= loss:  # no later bound exceeds it
@@ -66,10 +54,14 @@ def bound_allows(jacobians: np.ndarray, prior: np.ndarray, number: int, criterio
     return True
 
 
-def _rounds(
-    jacobians: np.ndarray, prior: np.ndarray, number: int, criterion: Criterion, start: np.ndarray | None
+def relaxed(
+    jacobians: np.ndarray, prior: np.ndarray, number: int, criterion: Criterion, start: np.ndarray | None = None
 ) -> Iterator[Relaxed]:
-    """Yield the design after each round, with the best bound so far."""
+    """Yield relaxed designs of a number of poses with the best bound so far, from weights `start` if given; the last is optimal.
+
+    Torsney's multiplicative algorithm (1983) over a few hundred candidates, to which those of largest sensitivity are added until
+    the equivalence theorem (Kiefer and Wolfowitz 1960) bounds the gap by a thousandth.
+    """
     n = len(jacobians)
     first = min(n, max(FIRST, 3 * number))
     active = np.linspace(0, n - 1, first).astype(int) if start is None else np.flatnonzero(start)
@@ -81,19 +73,15 @@ def _rounds(
         sensitivity = sensitivities(jacobians, slope)
         level = criterion.loss(covariance)
         bound = level * np.sqrt(_trace(slope, information_matrix) / _largest_trace(slope, prior, sensitivity, number))
-        best = max(best, bound)
-        close = (level / bound) ** 2 < 1 + GAP
-        if not close:
-            kept = weights > NEGLIGIBLE
-            joining = np.setdiff1d(np.argsort(sensitivity)[-ADDED:], active[kept])
-            started = np.full(len(joining), NEGLIGIBLE * number)
-            active = np.concatenate([active[kept], joining])
-            weights = _capped(np.concatenate([weights[kept], started]), number)
-        everywhere = np.zeros(n)
+        best, everywhere = max(best, bound), np.zeros(n)
         everywhere[active] = weights
         yield Relaxed(everywhere, sensitivity, best, level)
-        if close:
+        if (level / bound) ** 2 < 1 + GAP:
             return
+        kept = weights > NEGLIGIBLE
+        joining = np.setdiff1d(np.argsort(sensitivity)[-ADDED:], active[kept])
+        active = np.concatenate([active[kept], joining])
+        weights = _capped(np.append(weights[kept], np.full(len(joining), NEGLIGIBLE * number)), number)
 
 
 def sensitivities(jacobians: np.ndarray, slope: np.ndarray) -> np.ndarray:
@@ -160,7 +148,7 @@ def search_poses(
     jacobians: np.ndarray, prior: np.ndarray, number: int, criterion: Criterion, rng: np.random.Generator
 ) -> SearchResult:
     """Choose poses by rounding the relaxed design several times, followed by exchanges; arguments as of `greedy`."""
-    best = relaxed(jacobians, prior, number, criterion)
+    *_, best = relaxed(jacobians, prior, number, criterion)
     # The support of the relaxed design and nearly as good candidates, the best last.
     shortlist = np.lexsort((best.sensitivity, best.weights >= LEAST_WEIGHT))[-max(SHORTLIST, number) :]
     near, weights = jacobians[shortlist], best.weights[shortlist]
@@ -197,7 +185,7 @@ def search_worst(
     """
     shares, weights, bound = tool.shares, None, 0.0
     for _ in range(MINIMAX_ROUNDS):
-        design = relaxed(jacobians, prior, number, replace(tool, shares=shares), weights)
+        *_, design = relaxed(jacobians, prior, number, replace(tool, shares=shares), weights)
         weights, bound = design.weights, max(bound, design.bound)
         held = weights > 0
         variances = tool.variances(np.linalg.inv(information(jacobians[held], prior, weights[held])))

@@ -102,12 +102,9 @@ class TaskSlopes:
         fit, markers, model = self.fitted.fit, self.fitted.data.robot.markers, self.fitted.model
         if model.tool_unseen:
             return by_tool(model, fit.estimate, self.conditions)
-        unknown = [
-            k
-            for k, (parameter, variance) in enumerate(zip(fit.model.parameters, np.diag(fit.covariance), strict=True))
-            if parameter.part in markers and variance > UNINFORMATIVE * parameter.prior_sd**2
-        ]
-        return np.asarray(np.linalg.qr(self.slopes[:, :, unknown].reshape(3 * len(self.slopes), len(unknown)))[0])
+        of_marker = np.array([parameter.part in markers for parameter in fit.model.parameters])
+        unknown = of_marker & (np.diag(fit.covariance) > UNINFORMATIVE * fit.model.prior_sd**2)
+        return np.asarray(np.linalg.qr(self.slopes[:, :, unknown].reshape(3 * len(self.slopes), -1))[0])
 
     def by(self, causes: Sequence[LackingCause]) -> list[np.ndarray]:
         """Return for each cause the tool's displacement by a unit of each of its parameters, after refitting, (n_points, 3, n)."""

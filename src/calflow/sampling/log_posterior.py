@@ -126,20 +126,14 @@ class Laplace:
 
         These keep their own information; their correlations are transformed along with the other parameters.
         """
-        free, scale = np.flatnonzero(np.diag(covariance)), np.sqrt(np.diag(self.covariance))
-        information = np.linalg.inv(self.covariance / np.outer(scale, scale))
-        block = np.ix_(free, free)
-        precision = np.linalg.inv((covariance / np.outer(scale, scale))[block])
+        scale, free = np.sqrt(np.diag(self.covariance)), np.flatnonzero(np.diag(covariance))
+        squares, block = np.outer(scale, scale), np.ix_(free, free)
+        information, precision = np.linalg.inv(self.covariance / squares), np.linalg.inv((covariance / squares)[block])
         transform = np.eye(len(scale))
         transform[block] = np.linalg.cholesky(precision) @ np.linalg.inv(np.linalg.cholesky(information[block]))
-        transformed = transform @ information @ transform.T
-        inverse = np.linalg.inv(transformed)
-        return replace(
-            self,
-            mean=self.estimate - scale * (inverse @ information @ ((self.estimate - self.mean) / scale)),
-            covariance=inverse * np.outer(scale, scale),
-            sd=np.sqrt(np.diag(covariance)),
-        )
+        inverse = np.linalg.inv(transform @ information @ transform.T)
+        mean = self.estimate - scale * (inverse @ information @ ((self.estimate - self.mean) / scale))
+        return replace(self, mean=mean, covariance=inverse * squares, sd=np.sqrt(np.diag(covariance)))
 
     def squares(self, problem: LeastSquares) -> Squares:
         """Return a quadratic in place of `_sum_of_squares` whose posterior is this normal; it equals that at the estimate."""
