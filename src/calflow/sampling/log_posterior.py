@@ -99,13 +99,15 @@ class Laplace:
     """Laplace's normal approximation of the unbounded posterior, expanded about the estimate within the bounds.
 
     mean (n,) and covariance (n, n) are the normal's; the mean lies beyond an active bound. sd (n,) are the fit's standard
-    deviations, with parameters at a bound held fixed (sd 0). variance is that of the noise relative to the problem's weights.
+    deviations, with parameters at a bound held fixed (sd 0). least is the sum of squared residuals at the estimate; variance that
+    of the noise relative to the problem's weights.
     """
 
     estimate: np.ndarray
     mean: np.ndarray
     covariance: np.ndarray
     sd: np.ndarray
+    least: float
     variance: float
 
     @staticmethod
@@ -114,12 +116,13 @@ class Laplace:
         there, prior_sd = Fit.at(problem, estimate), problem.model.prior_sd
         pull, prior = (estimate - problem.model.prior_mean) / prior_sd, np.diag(prior_sd**-2.0)
         scale = np.outer(prior_sd, prior_sd)
-        variance = float((2 * there.objective - pull @ pull) / max(1.0, problem.size - there.effective_parameters))
+        least = float(2 * there.objective - pull @ pull)
+        variance = least / max(1.0, problem.size - there.effective_parameters)
         at_level = replace(there, information=prior + (there.information - prior) / variance)
         covariance = np.linalg.inv(at_level.information * scale) * scale
         gradient = ((there.gradient * prior_sd - pull) / variance + pull) / prior_sd
         sd = np.sqrt(np.diag(at_level.covariance))
-        return Laplace(estimate, estimate - covariance @ gradient, covariance, sd, variance)
+        return Laplace(estimate, estimate - covariance @ gradient, covariance, sd, least, variance)
 
     def beside_smooth_errors(self, covariance: np.ndarray) -> Laplace:
         """Return the approximation with the posterior covariance (n, n) beside smooth errors, zero for held parameters.
@@ -137,7 +140,6 @@ class Laplace:
 
     def squares(self, problem: LeastSquares) -> Squares:
         """Return a quadratic in place of `_sum_of_squares` whose posterior is this normal; it equals that at the estimate."""
-        (least,) = _sum_of_squares(problem)(self.estimate[:, None])
         scale = np.sqrt(np.diag(self.covariance))
         precision = np.linalg.inv(self.covariance / np.outer(scale, scale))
 
@@ -146,8 +148,7 @@ class Laplace:
             prior = (values - problem.model.prior_mean) / problem.model.prior_sd
             return np.asarray(((deviation @ precision) * deviation - prior**2).sum(axis=-1))
 
-        at_estimate = quadratic(self.estimate)
-        return lambda values: least + self.variance * (quadratic(values.T) - at_estimate)
+        return lambda values: self.least + self.variance * (quadratic(values.T) - quadratic(self.estimate))
 
 
 @dataclass(frozen=True)
@@ -251,7 +252,8 @@ def log_posterior_of(calibrated: CalibratedModel, data: Measurements) -> tuple[L
     means = averaged(data.only(data.train), calibrated.noise(data).only(data.train))
     problem = LeastSquares.of(calibrated.model, *means).reweighted(calibrated.estimate, calibrated.loss)
     laplace = Laplace.of(problem, calibrated.estimate)
-    if not calibrated.errors.functions:
-        return LogPosterior.about(problem, laplace), laplace
-    laplace = laplace.beside_smooth_errors(calibrated.covariance)
-    return LogPosterior.about(problem, laplace, laplace.squares(problem)), laplace
+    squares = None
+    if calibrated.errors.functions:
+        laplace = laplace.beside_smooth_errors(calibrated.covariance)
+        squares = laplace.squares(problem)
+    return LogPosterior.about(problem, laplace, squares), laplace
