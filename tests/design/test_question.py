@@ -12,6 +12,7 @@ import pytest
 from calflow.design import discrimination
 from calflow.design.candidates import packed_conditions
 from calflow.design.discrimination import LEAST_EXTENT, NextPose, poses_table, question, separations_table
+from calflow.design.planned import Planned
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import Family
 from calflow.diagnosis.trial import Detection
@@ -87,7 +88,8 @@ def asked(where, rivals=(ECCENTRIC,), size=2e-4, untestable=()):
     others = [Rival(one.cause.id, one.cause.joint, 2.0, one) for one in scores[1:]]
     others += [Rival(name, 0, 0.0, None) for name in untestable]
     verdict = Verdict(**vars(finding), status="one_of", probability=0.7, rivals=tuple(others))
-    one = question(verdict, now, 0.7, np.random.default_rng(1))
+    planned = Planned.like(now.model.observations[0], now.noise, 0, 0.7)
+    one = question(verdict, now, planned, np.random.default_rng(1))
     return one, poses_table([one], now), separations_table([one])
 
 

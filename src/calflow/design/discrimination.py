@@ -114,22 +114,14 @@ def questions(
     diagnosis: Diagnosis, data: Measurements, rng: Draws, among: Measurements | None = None
 ) -> list[Question]:
     """Return how to separate each finding from its rivals by poses, among these or drawn in the measured region."""
-    final = diagnosis.extended
-    return [
-        question(verdict, final, fitted_share(data), rng(f"poses{k}"), among)
-        for k, verdict in enumerate(diagnosis.verdicts)
-    ]
-
-
-def fitted_share(data: Measurements) -> float:
-    """Return the share of the valid rows that is fitted."""
-    return float(data.train.sum() / (data.train | data.held_out).sum())
+    final, planned = diagnosis.extended, planned_like(diagnosis.extended, data)
+    return [question(verdict, final, planned, rng(f"poses{k}"), among) for k, verdict in enumerate(diagnosis.verdicts)]
 
 
 def question(
-    verdict: Verdict, fitted: Fitted, share: float, rng: np.random.Generator, among: Measurements | None = None
+    verdict: Verdict, fitted: Fitted, planned: Planned, rng: np.random.Generator, among: Measurements | None = None
 ) -> Question:
-    """Return how to separate a finding from each rival by poses, of which a share is fitted, among these or drawn in the region.
+    """Return how to separate a finding from each rival by poses, measured as planned, among these or drawn in the region.
 
     If none can be sought, the separations state why: that is no reason to abort a diagnosis.
     """
@@ -142,7 +134,6 @@ def question(
     if not asked:
         return Question(cause, tuple(rows))
     try:
-        planned = planned_like(fitted, share)
         choices = among or _choices(fitted, planned.observation, rng)
         apart, plan = _asked(verdict, asked, [*untested, *rest], fitted, planned, choices)
     except SOUGHT_IN_VAIN as error:
@@ -296,9 +287,9 @@ def separations_table(questions: Sequence[Question]) -> pd.DataFrame:
     return to_frame([row for asked in questions for row in asked.separations], SeparationRow)
 
 
-def planned_like(fitted: Fitted, share: float) -> Planned:
-    """Return how further poses are measured: like the existing ones, by an external device if any series is."""
-    observed = fitted.model.observations
+def planned_like(fitted: Fitted, data: Measurements) -> Planned:
+    """Return how further poses are measured: like those of data, by an external device if any series is; as many are held out."""
+    observed, share = fitted.model.observations, float(data.train.sum() / (data.train | data.held_out).sum())
     k = next((k for k, observation in enumerate(observed) if observation.from_outside), 0)
     return Planned.like(observed[k], fitted.noise, k, share)
 

@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from calflow.design.discrimination import Question, fitted_share, planned_like, questions, rows_like
+from calflow.design.discrimination import Question, planned_like, questions, rows_like
 from calflow.design.measuring_order import shortest_tour
 from calflow.design.optimality import ToolError, information
 from calflow.design.planned import Measure, Planned, SelectionRequest
@@ -265,7 +265,7 @@ def next_step(
     if verdict.status == "stop":
         nothing = planned_poses(bare, asked, np.zeros((0, bare.robot.n_joints))).assign(reason="")
         return NextStep(verdict, numbered_on(nothing, data), calibrated)
-    planned = planned_like(fitted, fitted_share(data))
+    planned = planned_like(fitted, data)
     drawing = rng("candidates")
     readings = asked.choice(bare, planned.observation, drawing, 1)
     choices = rows_like(fitted.data, readings, (asked.payload,) * len(readings), drawing)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calflow.design.discrimination import fitted_share, planned_like
+from calflow.design.discrimination import planned_like
 from calflow.design.next_poses import (
     CONFIDENCE,
     PRECISION,
@@ -112,7 +112,7 @@ def _diagnosed_step(
     diagnosing = study.validated_settings("diagnose", DiagnoseSettings).model_dump()
     search = search_causes(first.known, first.data, **diagnosing, rng=rng)
     bare = replace(search.extended.model, given=())
-    planned = planned_like(search.extended, fitted_share(first.data))
+    planned = planned_like(search.extended, first.data)
     asked = request_of(study, settings, bare, planned, rng("task"))
     marker = settings.marker or next(iter(study.robot.markers))
     task, notes = asked.task, data.notes
