@@ -223,8 +223,8 @@ class Asked(NamedTuple):
 class SymbolicPrediction:
     """The symbolic prediction of one row, with quantities derived lazily.
 
-    parts are the effects with their parameters; dims, loads and deflection are the robot's with all effects, and loaded is the
-    state under load that deflects it, None where nothing is compliant.
+    parts are the effects that act, with their parameters; dims, loads and deflection are the robot's with all effects, and loaded
+    is the state under load that deflects it, None where nothing is compliant.
     """
 
     robot: Robot
@@ -419,7 +419,7 @@ class Model:
         """
         row, p = Row.unpack(self.robot, c, self.given), self._completed(p)
         spans = zip((*self.effects, *self.probes), self._spans[len(self.observations) :], strict=True)
-        parts = tuple((effect, p[span]) for effect, span in spans)
+        parts = tuple(effect.acts_as(p[span], row) for effect, span in spans)
         dims, loads = nominal_dimensions(self.robot), nominal_loads(self.robot)
         for effect, part in parts:
             dims = effect.dimensions(part, dims, row)

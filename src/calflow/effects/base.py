@@ -564,7 +564,7 @@ def _asked(question: str) -> Any:
 
     def ask(self: ActingEffect, *about: Any) -> Any:
         """Return what the effect that acts says."""
-        return getattr(self.acting(ca.SX(len(self.declared), 1), _symbols(self.robot)[1])[0], question)(*about)
+        return getattr(self._acting_effect, question)(*about)
 
     return ask
 
@@ -591,6 +591,11 @@ class ActingEffect(Effect):
     def acts_as(self, p: ca.SX, row: Row) -> tuple[Effect, ca.SX]:
         effect, values = self.acting(p, row)
         return effect.acts_as(values, row)
+
+    @cached_property
+    def _acting_effect(self) -> Effect:
+        """The effect that acts, which no row changes."""
+        return self.acting(ca.SX(len(self.declared), 1), _symbols(self.robot)[1])[0]
 
     completing, concerns, undecided, is_noise, of_measuring = map(
         _asked, ("completing", "concerns", "undecided", "is_noise", "of_measuring")
