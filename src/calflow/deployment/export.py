@@ -25,6 +25,7 @@ from calflow.files.deferred import Rotation
 from calflow.files.problems import refuse
 from calflow.files.tables import column, csv_text, to_frame
 from calflow.files.toml import checked_arguments
+from calflow.files.words import effect_words, listed, part_words
 from calflow.model import Model
 from calflow.robot.formats.controller_files import CONTROLLER_FILES, Maker, pasted
 from calflow.robot.formats.mjcf import mjcf_text
@@ -287,14 +288,9 @@ def _figures(calibrated: CalibratedModel, robot: Robot, lost: Sequence[NotExport
 
 def _said(lost: Sequence[NotExported]) -> tuple[str, ...]:
     """Return notes on what is left out."""
+    where = [f" ({listed(list(map(part_words, loss.parts)), 8)})" if loss.parts else "" for loss in lost]
     return tuple(
-        f"left out: {loss.effect}{f' ({_between(loss.parts)})' if loss.parts else ''}: the tool is then off by "
+        f"left out: {effect_words(loss.effect)}{there}: the tool is then off by "
         f"{loss.mean_mm:.3f} mm on average over the measured rows, {loss.max_mm:.3f} mm at most"
-        for loss in lost
+        for loss, there in zip(lost, where, strict=True)
     )
-
-
-def _between(parts: Sequence[str]) -> str:
-    """Return one or two parts, or the first and the last of more, in the order of the joints."""
-    names = sorted(set(parts), key=lambda name: (len(name), name))
-    return " and ".join(names) if len(names) < 3 else f"{names[0]} … {names[-1]}"
