@@ -283,7 +283,8 @@ SPEAKS: list[tuple[Rule, Mapping[str, object], int, str]] = [
     (usability.not_converged, diagnosed(converged=False, solver=Solver(status="Max_Iter", iterations=500)), 1,
      "the model that diagnose extended: its fit did not converge (IPOPT: Max_Iter"),
     (ranked.starts_disagree, summary(starts_agreeing=1), 2, "Only 1 of 3"),
-    (ranked.model_lacks, summary(reduced_chi2=9.0), 2, "larger than measurement noise explains"),
+    (ranked.model_lacks, summary(reduced_chi2=9.0), 2, "is 3.0 times the noise, which may be chance"),
+    (ranked.model_lacks, summary(reduced_chi2=9.0, lack_of_fit_p=1e-9), 2, "larger than measurement noise explains"),
     (ranked.model_lacks, summary(reduced_chi2=1.5, lack_of_fit_p=1e-6), 2, "something is missing in the model"),
     (ranked.noise_doubtful, summary(reduced_chi2=0.25), 3, "much smaller than the stated noise"),
     (usability.noise_contradicted, summary(noise_doubts=(DOUBT,)), 1, "Do not use this result. The stated noise, 40 mm"),
@@ -652,16 +653,17 @@ def test_open_questions_name_what_the_data_leave_open() -> None:
 
 
 @pytest.mark.parametrize(
-    ("times", "words"),
+    ("times", "significant", "words"),
     [
-        (float("nan"), "is not known"),
-        (1.0, "explains all"),
-        (1.3, "a little more"),
-        (3.2, "3.2 times the noise: the model lacks"),
+        (float("nan"), False, "is not known"),
+        (1.0, False, "explains all"),
+        (1.3, False, "a little more"),
+        (1.6, False, "1.60 times the noise: more than noise explains, which may be chance"),
+        (3.2, True, "3.2 times the noise: the model lacks"),
     ],
 )
-def test_leftover_in_words(times: float, words: str) -> None:
-    assert words in leftover(times, 0.0, "", False, "mm")
+def test_leftover_in_words(times: float, significant: bool, words: str) -> None:
+    assert words in leftover(times, 0.0, "", significant, "mm")
 
 
 def test_the_models_own_error_is_told_where_there_is_one() -> None:

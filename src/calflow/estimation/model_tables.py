@@ -29,7 +29,7 @@ from calflow.files.problems import refuse
 from calflow.files.tables import Results, column, to_frame
 from calflow.files.toml import adapter
 from calflow.files.units import METRE
-from calflow.files.words import mm
+from calflow.files.words import mm, plural
 from calflow.model import Model
 from calflow.observations import Observation, observation_kinds
 from calflow.robot.frames import Vector, vector
@@ -97,7 +97,7 @@ class Solver:
 
     @property
     def words(self) -> str:
-        return f"{self.name}: {self.status}, {self.iterations} iterations"
+        return f"{self.name}: {self.status}, {plural(self.iterations, 'iteration')}"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -142,10 +142,16 @@ def starts_disagree(outcome: RunOutcome) -> Iterator[Advice]:
 
 
 def model_lacks(outcome: RunOutcome) -> Iterator[Advice]:
-    """A model with a significant lack of fit is incomplete; any known structure is reported where it was found."""
+    """A model with a significant lack of fit is incomplete, with a large one perhaps; known structure is told where it is found."""
     summary = outcome.fit_summary
     unexplained = any(finding.status == "unexplained" for finding in outcome.findings)
-    if (summary.lack_of_fit > LACKS or summary.lacks_fit) and not unexplained:
+    if summary.lack_of_fit > LACKS and not summary.lacks_fit and not unexplained:
+        chance = (
+            f"The error left is {ratio(summary.lack_of_fit)} times the noise, which may be chance: what is known of the noise "
+            "rests on few repeats. Measure some poses again, coming back to each from elsewhere."
+        )
+        yield Advice(2, chance, poses=REPEATS)
+    if summary.lacks_fit and not unexplained:
         stated = "file" in summary.noise_sources
         doubt = "the noise is larger than stated" if stated else "poses repeat worse than repeats in a row show"
         yield Advice(

@@ -180,8 +180,9 @@ def leftover(times: float, discrepancy: float, structure: str, significant: bool
     if times <= ENOUGH and not significant:
         return f"{times:.2f} times the noise, so the noise explains all of it."
     own = f" The model's own error, {mm(discrepancy)} {unit} per axis, is included in the uncertainty of predictions."
-    little = f"a little more than noise explains{'' if significant else ', which may be chance'}"
-    lacks = "the model lacks something" if times > LACKS else little
+    little = "a little more" if times <= LACKS else "more"
+    lacks = f"{little} than noise explains{'' if significant else ', which may be chance'}"
+    lacks = "the model lacks something" if significant and times > LACKS else lacks
     return f"with the repeats of each pose averaged, {ratio(times)} times the noise: {lacks}.{own * bool(discrepancy)}"
 
 
