@@ -22,7 +22,6 @@ from calflow.files.units import METRE
 from calflow.files.words import listed
 from calflow.measurements.rows import sides_and_travel
 from calflow.model import Model
-from calflow.robot.robot import Robot
 
 BLOCK_POSES = 10  # poses of a block, drawn from all poses and ordered as a short tour
 RANDOM_ORDERS = 50  # random orders tried
@@ -153,7 +152,8 @@ def vias(model: Model, request: SelectionRequest, readings: np.ndarray, rng: np.
     ways = rng.uniform(least, most, readings.shape) * np.isin(np.arange(n_joints), robot.driven)
     points, left = readings.copy(), np.arange(n)
     for _ in range(TRIES):
-        via = readings[left] - _within(robot, readings[left], sides, ways[left])
+        angles = (readings[left] - sides * ways[left]) @ robot.reading_matrix.T
+        via = readings[left] - np.where(robot.past_limits(angles), -sides, sides) * ways[left]
         good = replace(request, region=None).allowed(model, via)
         points[left[good]] = via[good]
         left = left[~good]
@@ -181,9 +181,3 @@ def sides_words(poses: pd.DataFrame, effects: Sequence[str]) -> list[str]:
     return [
         f"for {names} each joint comes from a via: {up.min()} to {up.max()} times of {len(poses)} upwards, by joint"
     ]
-
-
-def _within(robot: Robot, readings: np.ndarray, sides: np.ndarray, ways: np.ndarray) -> np.ndarray:
-    """Return the travels (n, n_joints) on these sides, or on the other side where this would exceed joint limits."""
-    angles = (readings - sides * ways) @ robot.reading_matrix.T
-    return np.asarray(np.where(robot.past_limits(angles), -sides, sides) * ways)

@@ -66,11 +66,10 @@ def lacking_causes(fitted: Fitted, catalogue: Catalogue) -> tuple[LackingCause, 
     """Return the causes that a fitted model may lack, one at a time."""
     linear = Linearisation.at(fitted, catalogue.effects)
     places, whole = by_place(linear.beside.scores), linear.whole
-    likely = place_probabilities(places)
-    best = ((likely[place], score.candidate) for place, (_, score) in places.items())
+    likely, best = place_probabilities(places), {place: score.candidate for place, (_, score) in places.items()}
     return tuple(
-        LackingCause(found.cause, probability, *whole.amplitudes(found.columns), whole.imitation(found.columns))
-        for probability, found in best
+        LackingCause(one.cause, likely[place], *whole.amplitudes(one.columns), whole.imitation(one.columns))
+        for place, one in best.items()
     )
 
 

@@ -63,12 +63,7 @@ class Chain:
                     return chain
             except (OSError, ValueError) as error:
                 say(f"chain.h5 cannot be read ({error}): sampling starts anew")
-        from emcee.backends import Backend
-
-        ensembles = tuple(Backend() for _ in range(number))
-        for ensemble in ensembles:
-            ensemble.reset(*shape)
-        return Chain(path, ensembles, independent)
+        return Chain(path, tuple(_ensemble(*shape) for _ in range(number)), independent)
 
     @staticmethod
     def read(path: Path) -> Chain:
@@ -117,12 +112,18 @@ def _store(ensemble: Backend, group: h5py.Group) -> None:
         group.create_dataset(name, data=values, maxshape=(None, *values.shape[1:]))  # emcee may go on from it
 
 
-def _loaded(group: h5py.Group) -> Backend:
-    """Return an ensemble of a file as a backend in memory."""
+def _ensemble(n_walkers: int, n_dimensions: int) -> Backend:
+    """Return an ensemble in memory before its first step."""
     from emcee.backends import Backend
 
     ensemble = Backend()
-    ensemble.reset(group.attrs["nwalkers"], group.attrs["ndim"])
+    ensemble.reset(n_walkers, n_dimensions)
+    return ensemble
+
+
+def _loaded(group: h5py.Group) -> Backend:
+    """Return an ensemble of a file as a backend in memory."""
+    ensemble = _ensemble(group.attrs["nwalkers"], group.attrs["ndim"])
     ensemble.iteration = int(group.attrs["iteration"])
     ensemble.random_state = [group.attrs[name] for name in sorted(group.attrs) if name.startswith("random_state_")]
     for name in SAVED:
