@@ -92,11 +92,11 @@ def orders(plan: PlanInformation, rng: np.random.Generator) -> dict[Order, np.nd
 
 def drift_pulls(plan: PlanInformation, every: Mapping[Order, np.ndarray]) -> list[DriftPull]:
     """Return the bias by the plan's drift in each order (n,) of the poses; none if no positions are measured."""
-    drift = plan.request.drift
+    drift, moves = plan.request.drift, displacements(plan)
     short = max(travel(plan.readings[every["short"]]), np.finfo(float).tiny)
     pulls = []
     for name, order in every.items():
-        for what, moved in displacements(plan).items():
+        for what, moved in moves.items():
             tool, k, sd = drift_bias(plan, order, moved)
             pulls.append(
                 DriftPull(order=name, taken=name == plan.request.order, travel=travel(plan.readings[order]) / short, drifting=what,

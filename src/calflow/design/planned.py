@@ -81,12 +81,11 @@ def stated_poses(file: Path, robot: Robot) -> np.ndarray:
     Raises:
         InputError: it cannot be read, lacks a joint's column, has no poses, or poses that the robot cannot reach.
     """
-    joints = set(numbered("q", robot.n_joints))
-    there = {name: split_column(name, robot)[0] for name in map(str, read_cells(file, Layout()))}
-    there = {name: joint for name, joint in there.items() if joint in joints}
+    joint_of = {name: split_column(name, robot)[0] for name in map(str, read_cells(file, Layout()))}
+    readings = {name: name for name, joint in joint_of.items() if joint in numbered("q", robot.n_joints)}
     # A file that lacks readings is read as it is, for the message on its columns.
-    whole = {f"q{i + 1}" for i in robot.driven} <= set(there.values())
-    rows = Measurements.to_predict(file, robot, columns=dict(zip(there, there, strict=True)) if whole else {})
+    whole = {f"q{i + 1}" for i in robot.driven} <= set(joint_of.values())
+    rows = Measurements.to_predict(file, robot, columns=readings if whole else {})
     return plausible(rows, file).joints
 
 

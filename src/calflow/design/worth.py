@@ -84,11 +84,10 @@ class PlanInformation:
                 loaded = replace(self.request, payload=name).whitened(self.model, self.readings)
                 mixed = np.where(every_other[:, None, None], loaded, self.own)
                 yield f"payload '{name}' at every other pose", n, n, information(mixed, self.prior)
-        others = [name for name in robot.markers if name != self.request.marker and not self.model.tool_unseen]
-        for name in others:
-            words = f"marker '{name}' measured at every pose too"
+        others = [name for name in robot.markers if name != self.request.marker]
+        for name in others if not self.model.tool_unseen else ():
             seen = replace(self.request, marker=name).whitened(self.model, self.readings)
-            yield words, n, 2 * n, information(seen, current)
+            yield f"marker '{name}' measured at every pose too", n, 2 * n, information(seen, current)
         if not others and not self.model.tool_unseen:
             words = f"a second marker, {1e3 * ASIDE:.0f} mm beside the first, measured at every pose too"
             yield words, n, 2 * n, current + self._second_marker()
