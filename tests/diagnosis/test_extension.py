@@ -17,7 +17,7 @@ from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.stepwise import CauseAcceptance, Stepwise, second_thoughts
 from calflow.diagnosis.trial import Linearisation
 from calflow.diagnosis.verdict import verdict
-from calflow.estimation.fit import fit_reweighted
+from calflow.estimation.fit import fit
 from calflow.estimation.noise import Noise
 from calflow.estimation.progress import nobody
 from calflow.model import Model
@@ -159,7 +159,7 @@ def test_a_model_that_was_fitted_is_not_fitted_again(monkeypatch):
     """Fails if a search that comes back to the same causes, in another order or beside a background, pays for the fit again."""
     first, second = cause("gear-ratio-error", "joint2"), cause("joint-compliance", "joint3")
     begun, fits = start(hidden([(first, (2e-3,))], poses=40)), []
-    monkeypatch.setattr(fitted_module, "fit_reweighted", lambda *given: fits.append(1) or fit_reweighted(*given))
+    monkeypatch.setattr(fitted_module, "fit", lambda *given: fits.append(1) or fit(*given))
     once = begun.with_causes([first, second])
     fewer, number = once.with_causes([first]), len(fits)
     again = fewer.with_causes([second, first])

@@ -14,8 +14,16 @@ from calflow.effects.cause import Cause
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.error_model import ErrorModel, SmoothVariances, beside_smooth_errors
 from calflow.estimation.extrapolation import beyond_measured
-from calflow.estimation.fit import Fit, IntraclassLikelihood, fit, fit_reweighted, refitted_sharing
-from calflow.estimation.lack_of_fit import SIGNIFICANT, LackOfFit
+from calflow.estimation.fit import (
+    Fit,
+    IntraclassLikelihood,
+    alike,
+    fit,
+    lack_against_noise,
+    reestimated,
+    refitted_sharing,
+)
+from calflow.estimation.lack_of_fit import SIGNIFICANT, Evidence, LackOfFit
 from calflow.estimation.least_squares import LeastSquares, Loss
 from calflow.estimation.leverage import LeftOut, Studentised, excess, left_out
 from calflow.estimation.noise import NO_DISCREPANCY, Noise, PerUnit
@@ -27,7 +35,7 @@ from calflow.model import Model
 HUBER = 4.5  # standard deviations from which rows are down-weighted
 SETTLED = 0.1  # relative change of noise and weights below which a fit is not repeated
 ROUGH = 1e-4  # share of chi² by which a fit that serves to estimate the noise alone may miss its optimum
-WEIGHINGS = 3  # fits at most, in which the weights of outliers and the scales of the causes' priors settle
+WEIGHINGS = 6  # fits at most, in which the noise, the weights of outliers and the scales of the causes' priors settle
 ALIKE = np.ones(1)  # factor of all rows without outliers
 
 
@@ -258,24 +266,30 @@ def _settled(
 ) -> Fitted:
     """Return the fit from a start, with rows beyond HUBER standard deviations weighted as by Huber (1964), priors scaled.
 
-    outlier_factor (n_rows,) is the factor by which rows exceeded that in the fit before, and discrepancy that fit's.
+    outlier_factor (n_rows,) is the factor by which rows exceeded that in the fit before, and discrepancy that fit's. Rough fits
+    settle the noise, the weights and the scales, from which a last one starts.
     """
+    noise = _down_weighted(device, outlier_factor, discrepancy)
     for _ in range(WEIGHINGS):
-        weighed = _down_weighted(device, outlier_factor, discrepancy)
-        settled, noise, lack, _ = fit_reweighted(model, data, weighed, start[None], loss, SETTLED, ROUGH)
-        alike = np.where(noise.estimated, noise.sigma / outlier_factor, device.sigma)
-        before = noise.total / replace(noise, sigma=alike).total
-        outlier_factor, discrepancy, start = _excess(settled, before), noise.discrepancy, settled.estimate
-        model = scaled(settled)
-        if model is settled.model and np.allclose(outlier_factor, before, rtol=SETTLED):
+        evidence = Evidence.of(data, noise)
+        rough, _ = fit(LeastSquares.of(model, data, noise), start[None], loss, ROUGH)
+        now = reestimated(rough, noise, evidence)
+        there, start = Fit.at(LeastSquares.of(model, data, now), rough.estimate, loss), rough.estimate
+        bare = np.where(now.estimated, now.sigma / outlier_factor, device.sigma)
+        before = now.total / replace(now, sigma=bare).total
+        outlier_factor, again = _excess(there, before), scaled(there)
+        known = np.allclose(outlier_factor, before, rtol=SETTLED) and alike(now, noise, SETTLED)
+        if known and again is there.model:
             break
-    return Fitted(settled, data, noise, lack, device, outlier_factor=before)
+        model, noise = again, _down_weighted(replace(device, sigma=bare), outlier_factor, now.discrepancy)
+    settled, _ = fit(there.problem, start[None], loss)
+    return Fitted(settled, data, now, lack_against_noise(settled, now, evidence), device, outlier_factor=before)
 
 
 def _down_weighted(device: Noise, factor: np.ndarray, discrepancy: PerUnit) -> Noise:
-    """Return noise by which each row's total, discrepancy included, grows by its factor: else an outlier keeps its weight."""
+    """Return noise with a discrepancy by which each row's total grows by its factor: else an outlier keeps its weight."""
     total = replace(device, discrepancy=discrepancy).total
-    return replace(device, sigma=np.sqrt(device.sigma**2 + (factor**2 - 1) * total**2))
+    return replace(device, sigma=np.sqrt(device.sigma**2 + (factor**2 - 1) * total**2), discrepancy=discrepancy)
 
 
 def _excess(fit: Fit, outlier_factor: np.ndarray) -> np.ndarray:

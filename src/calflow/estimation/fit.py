@@ -260,37 +260,26 @@ def _solver(
 
 
 def fit_reweighted(
-    model: Model,
-    train: Measurements,
-    noise: Noise,
-    starts: np.ndarray,
-    loss: Loss,
-    tolerance: float = 0.01,
-    rough: float = 0.0,
+    model: Model, train: Measurements, noise: Noise, starts: np.ndarray, loss: Loss, tolerance: float = 0.01
 ) -> tuple[Fit, Noise, LackOfFit, int]:
     """Fit the means of repeats, and refit until the weights agree with the residuals.
 
     An unknown noise is estimated series by series; to a known noise the model's discrepancy is added where it is significant.
     Returns the fit, its noise, the lack of fit against the noise alone (of the residuals in leading units whose noise is known, if
-    there are any), and the number of starts that reached the optimum. rough is the share of chi² by which the first fit, from
-    which the noise is estimated, may miss its optimum.
+    there are any), and the number of starts that reached the optimum.
     """
     model = observing(model, train)
     train, noise = averaged(train, noise)
     some = representative(train, START_ROWS if len(starts) > 1 else len(train))
-    result, agree = fit(LeastSquares.of(model, train.only(some), noise.only(some)), starts, loss, rough)
+    result, agree = fit(LeastSquares.of(model, train.only(some), noise.only(some)), starts, loss)
     if not some.all():
-        result, _ = fit(LeastSquares.of(model, train, noise), result.estimate[None], loss, rough)
+        result, _ = fit(LeastSquares.of(model, train, noise), result.estimate[None], loss)
     evidence = Evidence.of(train, noise)
-    leading = result.problem.leading
-    known = ~noise.estimated[result.problem.row] & leading
-    against_noise = _lack(result, known if known.any() else leading, evidence)
-    for k in range(NOISE_PASSES):
-        before, noise = noise, _reestimated(result, noise, evidence)
+    against_noise = lack_against_noise(result, noise, evidence)
+    for _ in range(NOISE_PASSES):
+        before, noise = noise, reestimated(result, noise, evidence)
         problem = LeastSquares.of(model, train, noise)
-        if _alike(noise, before, tolerance):
-            if rough and k == 0:
-                result, _ = fit(result.problem, result.estimate[None], loss)
+        if alike(noise, before, tolerance):
             there = Fit.at(problem, result.estimate, loss)
             result = replace(there, iterations=result.iterations, converged=result.converged, status=result.status)
             break
@@ -298,7 +287,14 @@ def fit_reweighted(
     return result, noise, against_noise, agree
 
 
-def _reestimated(result: Fit, noise: Noise, evidence: Evidence) -> Noise:
+def lack_against_noise(result: Fit, noise: Noise, evidence: Evidence) -> LackOfFit:
+    """Return the lack of fit of the residuals in leading units whose noise is known, if there are any, else of all of them."""
+    leading = result.problem.leading
+    known = ~noise.estimated[result.problem.row] & leading
+    return _lack(result, known if known.any() else leading, evidence)
+
+
+def reestimated(result: Fit, noise: Noise, evidence: Evidence) -> Noise:
     """Return the noise re-estimated from the fit's residuals: sigma where it is unknown, the discrepancy elsewhere."""
     problem, sigma = result.problem, noise.sigma.copy()
     for k, source in enumerate(noise.sources):
@@ -324,7 +320,8 @@ def _lack(result: Fit, which: np.ndarray, evidence: Evidence) -> LackOfFit:
     return lack_of_fit(error, sigma, determined, rows, evidence, trimmed=result.loss != "linear")
 
 
-def _alike(first: Noise, other: Noise, tolerance: float) -> bool:
+def alike(first: Noise, other: Noise, tolerance: float) -> bool:
+    """Whether two noises of the same rows, with the model's discrepancy, differ by no more than a relative tolerance."""
     pairs = [(first.total, other.total)]
     if first.rotation is not None:
         now, before = (np.hypot(first.rotation, noise.discrepancy[RADIAN]) for noise in (first, other))
