@@ -198,20 +198,23 @@ def _asked(
     scores = [replace(finding.own, cost=0.0), *(replace(r.score, cost=r.cost) for r in rivals if r.score)]
     explanations = discrimination(fitted, scores, choices, planned)
     before = {pair: explanations.closest(pair) for pair in combinations(range(len(scores)), 2)}
-    alone = {pair: explanations.propose([pair], MOST_NEXT_POSES)[1][pair] for pair in before}
+    alone = _each_alone(explanations, [pair for pair in before if pair[0] == 0])
+    possible = {k for (_, k), criterion in alone.items() if criterion.chance >= ENOUGH}
+    # Poses tell two rivals apart only after both are told from the finding.
+    alone |= _each_alone(explanations, [pair for pair in before if possible.issuperset(pair)])
     chosen, together = _together(explanations, alone)
     after = alone | together
     rows = []
     for k, rival in enumerate(rivals, start=1):
-        then, possible = after[0, k], after[0, k].chance >= ENOUGH
+        then = after[0, k]
         rows.append(
             _separation(finding.cause, rival, before[0, k].separation, then.separation, then.chance,
-                        proposed=(0, k) in together, means="" if possible else _means(finding.cause, rival))
+                        proposed=(0, k) in together, means="" if then.chance >= ENOUGH else _means(finding.cause, rival))
         )  # fmt: skip
     if not together:
         return rows, None
     causes: list[Cause | Rival] = [finding.cause, *rivals]
-    open_ = [(causes[i], rivals[k - 1]) for i, k in after if (i, k) not in together]
+    open_ = [(causes[i], rivals[k - 1]) for i, k in before if (i, k) not in together]
     open_ += [(finding.cause, rival) for rival in others]
     return rows, Plan(
         replace(choices, table=choices.table.iloc[chosen]), tuple(rivals[k - 1] for i, k in together if i == 0),
@@ -239,12 +242,16 @@ def discrimination(fitted: Fitted, scores: Sequence[Score], choices: Measurement
     return Discrimination.between(seen, new, common, own, effects, costs)
 
 
+def _each_alone(explanations: Discrimination, pairs: Sequence[Pair]) -> dict[Pair, TCriterion]:
+    """Return each pair's criterion after poses that are chosen for it alone."""
+    return {pair: explanations.propose([pair], MOST_NEXT_POSES)[1][pair] for pair in pairs}
+
+
 def _together(
     explanations: Discrimination, alone: Mapping[Pair, TCriterion]
 ) -> tuple[list[int], dict[Pair, TCriterion]]:
     """Choose poses that serve as many pairs as possible, the finding's (0) first, given criteria by poses for one alone."""
-    possible = [pair for pair, criterion in alone.items() if criterion.chance >= ENOUGH]
-    left = [(i, k) for i, k in possible if i == 0 or {(0, i), (0, k)} <= set(possible)]
+    left = [pair for pair, criterion in alone.items() if criterion.chance >= ENOUGH]
     while any(i == 0 for i, _ in left):
         chosen, after = explanations.propose(left, MOST_NEXT_POSES)
         hard = [pair for pair in left if after[pair].chance < ENOUGH]
