@@ -22,6 +22,7 @@ import numpy as np
 import scipy
 
 from calflow.estimation.forward_substitution import forward
+from calflow.model import side_by_side
 
 SIZE_STEPS = 30  # iterations of the variances
 SETTLED = 0.03  # relative change of the variances below which they have converged
@@ -127,8 +128,8 @@ class VarianceComponents:
         """Return the posterior of functions with these variances (n_parts,), in those of non-zero variance (Woodbury 1950)."""
         here = np.flatnonzero(variance[self.part] > 0)
         size = np.sqrt(variance[self.part[here]])
-        whole = self.gram[here][:, here]  # rows, then columns: several times as fast as both at once
-        whole *= size[:, None]
+        kept = side_by_side(here)
+        whole = self.gram[kept][:, kept] * size[:, None]  # rows, then columns: several times as fast as both at once
         whole *= size
         whole[np.diag_indices(len(here))] += 1.0
         factor = _factor(whole)
