@@ -39,6 +39,10 @@ class ChainLength(FileModel):
     ess: Annotated[int, Field(ge=100)] = 4000
     independent: Annotated[float, Field(ge=0, le=1)] = 0.9
 
+    def share(self, steps: int, tau: float, ess: float) -> float:
+        """Return the share of the required length that steps of an autocorrelation time have, with their effective samples."""
+        return min(1.0, steps / (ENOUGH_TAU * tau), ess / self.ess)
+
 
 @dataclass(frozen=True)
 class Chain:

@@ -20,7 +20,7 @@ from calflow.files.tables import column, typed
 from calflow.files.units import METRE, MeasurementUnit
 from calflow.measurements.measurements import Measurements
 from calflow.observations import leading_units
-from calflow.sampling.chain import ENOUGH_TAU, ChainLength
+from calflow.sampling.chain import ChainLength
 
 ALPHAS = (0.99, 1.01)  # powers to which a density is raised: near enough to 1 for importance weighting of the draws
 # Threshold of sensitivity to a density; a normal posterior determined by that density alone has about 0.08.
@@ -30,6 +30,7 @@ NO_ARVIZ = "to_inference_data needs ArviZ: pip install 'calflow[arviz]' (or arvi
 NEAR_BOUND, CUT = 0.1, 0.01  # a posterior is truncated if 1 % of it lies within a tenth of its sd from a bound
 # Draws, and noise samples per draw: a single one would leave the lower 95 % limit of a distance uncertain by a tenth.
 DRAWS_KEPT, NOISE_DRAWS = 500, 128
+MOST_STEPS = 1e9  # stated as the required length if a walker never moves
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -217,14 +218,6 @@ def _remaining_sd(calibrated: CalibratedModel, data: Measurements, unit: Measure
     return np.where(data.held_out[:, None], held, calibrated.noise(data).total[:, None])
 
 
-def _missing_steps(steps: int, tau: float, ess: float, length: ChainLength) -> int:
-    """Return about how many more steps are needed for enough autocorrelation times and samples; 0 if there are enough."""
-    missing = int(np.ceil(min(ENOUGH_TAU * tau, 1e9))) - steps
-    if missing <= 0 and ess >= length.ess:
-        return 0
-    return max(missing, int(np.ceil(steps * (length.ess / ess - 1))))
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Posterior:
     """A sampled posterior; its tables are those of a run's folder `sample`.
@@ -281,11 +274,9 @@ class Posterior:
 
         R-hat compares the ensembles, each flattened, since only they are independent (Vehtari et al. 2021).
         """
-        values = self.values
-        n_ensembles, n_steps, n_walkers, n = values.shape
-        flat = values.reshape(-1, n)
-        by_ensemble = values.reshape(n_ensembles, n_steps * n_walkers, n)
-        by_walker = _by_walker(values)
+        n_ensembles, *_, n = self.values.shape
+        flat, by_ensemble = self.values.reshape(-1, n), self.values.reshape(n_ensembles, -1, n)
+        by_walker = _by_walker(self.values)
         prior, likelihood = (_by_walker(self.densities[name]) for name in ("log_prior", "log_likelihood"))
         quantiles = np.quantile(flat, [0.025, 0.5, 0.975], axis=0)
         table = pd.DataFrame(
@@ -314,6 +305,7 @@ class Posterior:
     def summary(self) -> ChainSummary:
         """Length and convergence diagnostics of the chain, and whether it is long enough."""
         values, calibrated, table = self.points, self.calibrated, self.table
+        share = max(self.length.share(self.steps, self.tau, table["ess"].min()), self.steps / MOST_STEPS)
         ratio = (table["sd"].to_numpy()[:-1][~calibrated.at_bound]) / self.fitted_sd[~calibrated.at_bound]
         return ChainSummary(
             steps=self.steps,
@@ -326,7 +318,7 @@ class Posterior:
             smallest_ess=table["ess"].min(),
             sd_over_laplace_least=ratio.min() if len(ratio) else None,
             sd_over_laplace_most=ratio.max() if len(ratio) else None,
-            missing_steps=_missing_steps(self.steps, self.tau, table["ess"].min(), self.length),
+            missing_steps=int(np.ceil(self.steps * (1 / share - 1))),
             cut=tuple(
                 Cut(parameter=p.name, unit=p.unit, lower=p.lower, upper=p.upper)
                 for p, sample in zip(calibrated.model.parameters, np.moveaxis(values[..., :-1], -1, 0), strict=True)

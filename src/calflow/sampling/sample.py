@@ -11,7 +11,7 @@ from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
 from calflow.files.problems import refuse
 from calflow.measurements.measurements import Measurements
-from calflow.sampling.chain import BLOBS, ENOUGH_TAU, Chain, ChainLength
+from calflow.sampling.chain import BLOBS, Chain, ChainLength
 from calflow.sampling.log_posterior import LogPosterior, log_posterior_of, move_mixture, propose_student
 from calflow.sampling.posterior import Posterior, effective_samples
 
@@ -107,11 +107,11 @@ def _lengthen(
         for number, (start, seed) in enumerate(zip(starts, seeds, strict=True)):
             _extend(chain, number, log_posterior, start, seed, steps)
         tau, rough_ess = _mixing(chain, steps)
-        progress = min(1.0, steps / (ENOUGH_TAU * tau), rough_ess / length.ess)
+        progress = length.share(steps, tau, rough_ess)
         ended = steps >= length.max_steps
         if progress >= 1 or ended:  # the exact effective sample size decides; it costs as much as some steps
             ess = effective_samples(log_posterior.parameters(chain.walkers(_burn_in(steps, tau), steps)))
-            progress = min(progress, ess.min() / length.ess)
+            progress = min(progress, length.share(steps, tau, ess.min()))
             ended |= progress >= 1
         if steps > kept and (ended or steps >= GROWN * kept):
             chain.save()
