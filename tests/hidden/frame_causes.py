@@ -59,14 +59,15 @@ def stand_growth(h: Hidden, robot: Robot, rows: Rows, point: Array) -> Array:
 
     It leans by as much over its height. What creeps does so by the logarithm of the time.
     """
-    grown = np.log1p(rows.time / CREEPS) / np.log1p(rows.time.max() / CREEPS) if h.extra else rows.temperature - 20
+    crept = np.log1p(rows.time / CREEPS) / np.log1p(rows.time.max() / CREEPS)
+    grown = crept if h.extra == "settling" else _warm(h, rows)
     shift, lean = h.size * h.rng.normal(size=(2, 3)) / np.sqrt(3)
     return point + grown[:, None] * (shift + np.cross(lean / STAND, point))
 
 
 def scale_growth(h: Hidden, robot: Robot, rows: Rows, point: Array) -> Array:
     """All that the device measures from its own place grows by size a kelvin: its weather station is wrong."""
-    return point * (1 + h.size * (rows.temperature - 20))[:, None]
+    return point * (1 + h.size * _warm(h, rows))[:, None]
 
 
 def link_growth(h: Hidden, robot: Robot, rows: Rows) -> Robot:
@@ -102,6 +103,8 @@ def warm_zero(h: Hidden, robot: Robot, rows: Rows) -> Robot:
 def _warm(h: Hidden, rows: Rows) -> Array:
     if h.extra == "":
         return rows.temperature - 20
+    if isinstance(h.extra, str) and h.extra.startswith("late"):
+        return behind(rows.time, rows.temperature, *map(float, h.extra.split()[1:])) - 20
     return warm_up(rows, 0.0 if h.extra == "warm-up" else h.number)
 
 
@@ -112,6 +115,19 @@ def warm_up(rows: Rows, at_first: float) -> Array:
         end = float(passed < STANDS)
         now = end + (now - end) * np.exp(-passed / WARM_UP)
         warm[k] = now
+    return warm
+
+
+def behind(time: Array, air: Array, constant: float, beyond: float = 0.0) -> Array:
+    """Temperature of what follows the air's with a time constant [s], so many kelvin beyond it at the first row.
+
+    The exact solution where the air's temperature is linear between rows, as in a pause.
+    """
+    warm = np.full(len(time), air[0] + beyond)
+    for k in range(1, len(time)):
+        passed, rise = time[k] - time[k - 1], air[k] - air[k - 1]
+        late = rise * constant / passed  # by which what has followed for long lags behind a steady rise
+        warm[k] = air[k] - late + (warm[k - 1] - air[k - 1] + late) * np.exp(-passed / constant)
     return warm
 
 

@@ -41,12 +41,18 @@ EVERY: dict[str, tuple[Case, str]] = {
     "housing-growth of one day after another": (case("serial", WARMS, columns=DAYS, pause=18 * 3600.0), "turning its zero"),
     "joint-step between two days": (case("hh800", JUMPS, columns=DAYS, pause=18 * 3600.0), "after row 60"),
     "housing-growth": (case("serial", Hidden("housing-growth", 2, 3e-5), columns=WARM), "joint 2"),
+    "housing-growth that follows the air late": (
+        case("serial", Hidden("warm-zero", 2, 4e-5, "late 4000 -1"), columns=(*WARM, "time"), pause=5400.0), "h late"
+    ),
+    "stand-growth that follows the air late": (
+        case("serial", Hidden("stand-growth", 0, 8e-5, "late 2400 1"), columns=(*WARM, "time"), pause=5400.0), "h late"
+    ),
     "housing-growth of a zero": (case("serial", Hidden("warm-zero", 2, 3e-5), columns=WARM), "turning its zero"),
 }  # fmt: skip
 
 
 TOLD_APART = (  # of a device and of a robot; benchmarks/hidden_cases.py has all, by the whole catalogue
-    "housing-growth", "scale-growth of a wrong weather station",
+    "housing-growth", "scale-growth of a wrong weather station", "housing-growth that follows the air late",
 )  # fmt: skip
 
 

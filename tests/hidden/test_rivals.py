@@ -81,9 +81,9 @@ def test_a_form_by_another_clock_widens_the_promise_where_the_two_part(tmp_path:
     table.to_csv(tmp_path / "measurements.csv", index=False)
     found = diagnosed(tmp_path, "thermal-growth")
     assert [finding.cause for finding in found.findings] == ["thermal-growth"]
-    (other,) = (one for one in found.alternatives if one.gone and one.rival and one.gone.place == one.rival.place)
-    assert "with the temperature" in {other.gone.detail, other.rival.detail}
-    by_the_likeliest = replace(found, alternatives=tuple(one for one in found.alternatives if one is not other))
+    forms = [one for one in found.alternatives if one.gone and one.rival and one.gone.place == one.rival.place]
+    assert "with the temperature" in {cause.detail for one in forms for cause in (one.gone, one.rival)}
+    by_the_likeliest = replace(found, alternatives=tuple(one for one in found.alternatives if one not in forms))
     later = rows.time + rows.time.max()
     cold = replace(rows, time=later, temperature=np.full(len(later), 21.0))
     warm = replace(rows, time=later, temperature=20 + 6 * (1 - np.exp(-later / 3000)))

@@ -75,7 +75,8 @@ class DeviceGrowth(Warming):
         grown = self.warmth(p, row)
         if not grown.nnz():
             return point
-        as_left = replace(row, **{"time" if self.constant else "temperature": ca.SX(self.left)})
+        still = {"time": ca.SX(self.left)} if self.constant else {"time": ca.SX(1, 1), "temperature": ca.SX(self.left)}
+        as_left = replace(row, **still)
         return point + self.change(grown - self.warmth(p, as_left), point)
 
     @abstractmethod

@@ -6,17 +6,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
 
+import casadi as ca
+
 from calflow.effects.base import JOINT_ALONE, NEEDS, TRANSMISSION, JointError, Term, Words
-from calflow.effects.warming import warmer
+from calflow.effects.thermal_lag import ThermalLag
+from calflow.effects.warming import WARMER
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Row, State
+from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
 
 EXPANSION_SD = 2e-4  # m/m in 10 K: twice steel's
 
 
 @dataclass(frozen=True)
-class GearRatioError(JointError):
+class GearRatioError(JointError, ThermalLag):
     """dq = kappa q, or of a slide, whose rack or scale grows, with warm, dq = kappa q · (T - 20 degC) / 10 K in addition."""
 
     warm: bool = False
@@ -32,13 +36,12 @@ class GearRatioError(JointError):
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
         """Return the constant ratio, and that of a slide that grows with the temperature, where it changes."""
-        grows = data.temperature_changes and NEEDS["slide"].met(robot, ())
-        return (cls(robot), cls(robot, warm=True)) if grows else (cls(robot),)
+        return (cls(robot), *(cls(robot, warm=True).lagging(data) if NEEDS["slide"].met(robot, ()) else ()))
 
     @property
     def detail(self) -> str:
         """What it grows with."""
-        return "with the temperature, 10 K above 20 degC" if self.warm else ""
+        return f"with the temperature, 10 K above 20 degC{self.late}" if self.warm else ""
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
         """Return the joint's angle, or a prismatic joint's position, times the warmth."""
@@ -47,4 +50,9 @@ class GearRatioError(JointError):
             return [Term("kappa", unit, 1e-3, 0.1, state.q[joint])]
         if self.robot.joints[joint].kind != "prismatic":
             return []
-        return [Term("kappa", "m/m", EXPANSION_SD, 0.01, warmer(row) * state.q[joint])]
+        grown = zip(self.symbols, self.above_reference(row), strict=True)
+        return [Term(f"kappa{end}", "m/m", EXPANSION_SD, 0.01, by / WARMER * state.q[joint]) for end, by in grown]
+
+    def size(self, p: ca.SX, own: Sequence[Parameter]) -> ca.SX:
+        """Return the growth alone, without that at first."""
+        return super().size(p[:1], own[:1])

@@ -9,14 +9,14 @@ from typing import ClassVar, Self
 import casadi as ca
 import numpy as np
 
-from calflow.effects.base import Effect, Variable, around
+from calflow.effects.base import Variable, around
+from calflow.effects.thermal_lag import REFERENCE, ThermalLag
 from calflow.measurements.measurements import Measurements, pauses
 from calflow.robot.mechanism import Row
 from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
 
 NEVER = ((np.inf, np.inf),)  # in place of no pause, which has fewer parameters
-REFERENCE = 293.15  # K: reference temperature of drawings (ISO 1)
 WARMER = 10.0  # K above 20 degC at which an error that is proportional to these is stated
 WARM_UPS = (900.0, 1800.0, 3600.0, 7200.0)  # s: time constants searched
 SHIFT = 8 * 3600.0  # s: how long a robot that works in shifts works on, on average
@@ -25,8 +25,8 @@ ALIKE = 1e-6  # relative difference of rates below which they are the same
 
 
 @dataclass(frozen=True)
-class Warming(Effect):
-    """An effect proportional to T - 20 degC, or to 1 - exp(-t / constant) as the robot warms up.
+class Warming(ThermalLag):
+    """An effect proportional to T - 20 degC, T the air's or that of what follows it, or to 1 - exp(-t / constant) as it warms up.
 
     constant is the time constant of the warm-up [s]; 0 stands for a measured temperature. In pauses, each from a time to
     another [s], the robot cools down with the same constant: a body of one heat capacity, whose motors stand meanwhile.
@@ -38,7 +38,7 @@ class Warming(Effect):
     pauses: tuple[tuple[float, float], ...] = ()
     until: float = np.inf
 
-    unnamed: ClassVar[tuple[str, ...]] = ("pauses", "until")
+    unnamed: ClassVar[tuple[str, ...]] = (*ThermalLag.unnamed, "pauses", "until")
     taken_for: ClassVar[tuple[str, ...]] = ("frame-drift",)
     course: ClassVar[str] = "warming up"
     told_by = "measure some poses again when the robot is cold"
@@ -46,7 +46,7 @@ class Warming(Effect):
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
         """Return growth with the temperature and, where times are known, of an arm that warms up once or after each pause."""
-        forms = (cls(robot),) if data.temperature_changes else ()
+        forms = cls(robot).lagging(data)
         if "time" not in data.given:
             return forms
         rests = dict.fromkeys([(), pauses(data)])
@@ -62,21 +62,21 @@ class Warming(Effect):
     def later(self, series: Measurements | None) -> Self:
         """Return the same with the pauses of a series that has a clock of its own: it begins as warm as the fitted rows."""
         if series is None or not self.constant:
-            return self
+            return super().later(series)
         rests = pauses(series) or NEVER if self.pauses else ()
         return replace(self, pauses=rests, until=np.inf if self.of_measuring() else _last(series))
 
     def finer(self, data: Measurements) -> tuple[Self, ...]:
-        """Return time constants about this one."""
+        """Return time constants, or lags, about this one."""
         if not self.constant:
-            return ()
+            return super().finer(data)
         return tuple(replace(self, constant=float(np.exp(log))) for log in around(np.log(self.constant), np.log(2)))
 
     @property
     def detail(self) -> str:
         """What it grows with."""
         if not self.constant:
-            return "with the temperature"
+            return f"with the temperature{self.late}"
         return f"{self.course} in {self.constant / 3600:.2g} h{', anew after each pause' if self.pauses else ''}"
 
     @property
@@ -87,24 +87,26 @@ class Warming(Effect):
     @property
     def symbols(self) -> tuple[str, ...]:
         """Endings of the symbols of a part's parameters."""
-        return ("", "0") if self.pauses else ("",)
+        return ("", "0") if self.pauses else super().symbols
 
     def warmth(self, p: ca.SX, row: Row) -> ca.SX:
         """Return each part's parameters (parts after another) times the temperature above 20 degC [K] or the warm-up (0 to 1).
 
         It is structurally zero where a row has neither.
         """
-        if not self.constant:
-            return p * (row.temperature - REFERENCE) if row.temperature.nnz() else ca.SX(*p.shape)
+        of_parameters = self._warmed_up(row) if self.constant else self.above_reference(row)
+        return ca.reshape(p, len(of_parameters), -1).T @ ca.vertcat(*of_parameters)
+
+    def _warmed_up(self, row: Row) -> list[ca.SX]:
+        """Return the warm-up (0 to 1), and with pauses what is left of the heat at first; structurally zero without a time."""
         if not row.time.nnz():
-            return ca.SX(p.numel() // len(self.symbols), 1)
+            return [ca.SX(1, 1) for _ in self.symbols]
         risen = self._risen(row.time)
         for end, start in self.pauses:
             risen += self._risen(row.time - start) - self._risen(row.time - end)
         if np.isfinite(self.until):
             risen -= heat_lost(row.time - self.until, self.constant)[0]
-        of_parameters = [risen, 1 - self._risen(row.time)][: len(self.symbols)]
-        return ca.reshape(p, len(of_parameters), -1).T @ ca.vertcat(*of_parameters)
+        return [risen, 1 - self._risen(row.time)][: len(self.symbols)]
 
     def _risen(self, passed: ca.SX) -> ca.SX:
         """Return the response to a step of heating, a time after it [s]."""
@@ -118,7 +120,7 @@ class Warming(Effect):
         """Return the temperature, or the time."""
         if self.constant:
             return Variable("time", "h", lambda state, row: row.time, 1 / 3600)
-        return Variable("temperature above 20 degC", "K", lambda state, row: row.temperature - REFERENCE)
+        return Variable("temperature above 20 degC", "K", lambda state, row: self.above_reference(row)[0])
 
 
 def heat_lost(since: ca.SX, constant: float) -> tuple[ca.SX, ca.SX]:
