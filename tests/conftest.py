@@ -25,6 +25,8 @@ import pytest
 
 from forked import forked
 
+# Else each worker rewrites the assertions of all tests anew, which takes longer than to collect them.
+sys.dont_write_bytecode = False
 gc.set_threshold(
     50_000, 20
 )  # little of what tests make goes round; to look for it as often as usual takes a twentieth of the time
