@@ -277,5 +277,5 @@ def pytest_collection_finish():
 
 def pytest_collection_modifyitems(items):
     """Begin with the longest, pages and whole diagnoses, so that no worker is left alone with them at the end."""
-    longest = ("test_docs.py", "test_studies.py", "test_notebook.py", "hidden", "effects")
+    longest = ("test_docs.py", "test_studies.py", "test_photographs_page.py", "test_notebook.py", "hidden", "effects")
     items.sort(key=lambda item: next((k for k, part in enumerate(longest) if part in item.path.parts), len(longest)))
