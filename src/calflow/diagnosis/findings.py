@@ -466,7 +466,11 @@ def _growth(grown: Growth) -> Finding:
 
 
 def _misfit(lack: LackOfFit, worst: MisfitRegion | None, left: tuple[UnexplainedStructure, ...]) -> Finding:
-    why = "an input explains only a part of it" if left else "no cause that could be tested and no single input explains it"
+    why = (
+        "an input explains only a part of it"
+        if left
+        else "no cause that could be tested and no single input explains it"
+    )
     where = f"; {worst.words}" if worst else "" if left else "; about the same everywhere"
     times = f"{np.sqrt(lack.reduced_chi2):.2f} times the noise (chance of so much: {chance(lack.p)})"
     statement = f"the model leaves {times}; {why}{where}"
@@ -477,7 +481,8 @@ def _left(structure: UnexplainedStructure) -> Finding:
     inputs, detail = " and ".join(structure.inputs), structure.detail
     rivals = list(dict.fromkeys(map(named, structure.suspects)))
     likely = f" (suspected: {', or '.join(rival.name for rival in rivals)})" if rivals else ""
-    statement = f"depends on {inputs}{f' ({detail})' if detail else ''}; no cause that could be tested explains it for certain{likely}"
+    along = f"{inputs} ({detail})" if detail else inputs
+    statement = f"depends on {along}; no cause that could be tested explains it for certain{likely}"
     if structure.inputs == (POSE,):
         statement = (
             "the rows of a pose share an error that changes from pose to pose, more than their own scatter explains"
