@@ -28,10 +28,10 @@ import calflow as cf
 from calflow.diagnosis import FALSE_ALARM
 from calflow.diagnosis.extension import FittedTrial, extend
 from calflow.diagnosis.fitted import Fitted
+from calflow.diagnosis.models_in_reach import ModelInReach, models_in_reach, probabilities, rivals_shown
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.stepwise import SHARES, CauseAcceptance, Stepwise
 from calflow.diagnosis.trial import Linearisation
-from calflow.diagnosis.verdict import ModelInReach, models_in_reach, probabilities, rivals_shown
 from calflow.effects.cause import Cause
 from calflow.effects.link_torsion import LinkTorsion
 from calflow.effects.nonlinear_joint_stiffness import NonlinearJointStiffness

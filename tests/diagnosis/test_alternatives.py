@@ -7,16 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calflow.diagnosis.alternatives import MOST_FITTED, _forms_by_other_conditions, fitted_alternatives
+from calflow.diagnosis.models_in_reach import ModelInReach
 from calflow.diagnosis.screening import Family
 from calflow.diagnosis.trial import Detection
-from calflow.diagnosis.verdict import (
-    MOST_FITTED,
-    ModelInReach,
-    Rival,
-    _forms_by_other_conditions,
-    fitted_alternatives,
-    verdict,
-)
+from calflow.diagnosis.verdict import Rival, verdict
 from calflow.effects.cause import Cause
 from calflow.effects.wording import UNEXPLAINED
 from calflow.estimation.calibrated_model import Alternative, choice_errors, points_at

@@ -8,16 +8,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from calflow.diagnosis.amplitude import Amplitude, amplitude, found_amplitude, same_quantities
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.trial import Linearisation
-from calflow.diagnosis.verdict import (
-    Amplitude,
-    amplitude,
-    found_amplitude,
-    no_surer_than_its_size,
-    same_quantities,
-    verdict,
-)
+from calflow.diagnosis.verdict import no_surer_than_its_size, verdict
 from diagnosis.found import cause, hidden, start
 
 FIRST, SECOND = (cause("joint-eccentricity", "joint2", order=order) for order in (1, 2))

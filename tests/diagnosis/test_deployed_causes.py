@@ -9,8 +9,9 @@ from types import SimpleNamespace
 
 import pytest
 
+from calflow.diagnosis.amplitude import Amplitude
 from calflow.diagnosis.diagnosis import search_causes
-from calflow.diagnosis.verdict import Amplitude, deployed_model
+from calflow.diagnosis.verdict import deployed_model
 from diagnosis.found import hidden, start
 from estimation.data import SIGMA, calibration
 

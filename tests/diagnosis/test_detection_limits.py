@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calflow.diagnosis.amplitude import amplitude
 from calflow.diagnosis.cause_tables import detection_limits, noncentrality
 from calflow.diagnosis.regressors import Candidate, Regressors, TallMatrix
 from calflow.diagnosis.screening import Family, Screening, f_threshold
 from calflow.diagnosis.stepwise import CauseAcceptance
 from calflow.diagnosis.trial import Screened
-from calflow.diagnosis.verdict import amplitude
 from calflow.effects import catalogue
 from calflow.effects.cause import Cause
 from diagnosis.test_screening import with_residual

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calflow.diagnosis.cause_tables import cause_table, models_table
-from calflow.diagnosis.verdict import ModelInReach, probabilities
+from calflow.diagnosis.models_in_reach import ModelInReach, probabilities
 from calflow.effects import catalogue
 from calflow.effects.cause import Cause
 from robots import robot

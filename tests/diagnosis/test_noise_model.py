@@ -12,7 +12,8 @@ import pytest
 from calflow.diagnosis.background import BackgroundBasis
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.noise_model import NoiseLevels, levels_of_residuals, noise_of_repeats, noise_of_residuals
-from calflow.diagnosis.unexplained import POSE, Standstills, unexplained
+from calflow.diagnosis.standstills import Standstills
+from calflow.diagnosis.unexplained import POSE, unexplained
 from calflow.estimation.accuracy import errors
 from calflow.estimation.calibrated_model import CalibratedModel, series_noise
 from calflow.estimation.fit import fit_reweighted

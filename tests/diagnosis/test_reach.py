@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from calflow.diagnosis.cause_tables import cause_table
+from calflow.diagnosis.models_in_reach import models_in_reach, rivals_shown
 from calflow.diagnosis.screening import Catalogue, Family, by_place
 from calflow.diagnosis.trial import Linearisation
-from calflow.diagnosis.verdict import models_in_reach, rivals_shown, verdict
+from calflow.diagnosis.verdict import verdict
 from calflow.effects import catalogue
 from calflow.effects.cause import Cause
 from diagnosis.found import cause, hidden, start

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import scipy
 
+from calflow.diagnosis.amplitude import amplitude
 from calflow.diagnosis.cause_tables import detection_limits
 from calflow.diagnosis.regressors import Candidate
 from calflow.diagnosis.screening import Family, Score
 from calflow.diagnosis.trial import Screened
-from calflow.diagnosis.verdict import amplitude
 from calflow.effects import catalogue
 from calflow.effects.cause import Cause
 from calflow.measurements.measurements import Measurements

@@ -8,14 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
+from calflow.diagnosis.amplitude import SIZE, amplitude, sizes
 from calflow.diagnosis.diagnosis import Diagnosis
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.form_error import variable_values
+from calflow.diagnosis.models_in_reach import Change, ModelInReach, probabilities
 from calflow.diagnosis.noise_model import RANGE, Growth
 from calflow.diagnosis.regressors import candidates_of
 from calflow.diagnosis.screening import Score, by_place, f_threshold, place_probabilities
 from calflow.diagnosis.trial import Screened
-from calflow.diagnosis.verdict import SIZE, Change, ModelInReach, amplitude, probabilities, sizes
 from calflow.effects import Effect, catalogue
 from calflow.effects.base import NOTHING
 from calflow.effects.cause import Cause

@@ -10,24 +10,19 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from calflow.diagnosis import FALSE_ALARM
+from calflow.diagnosis.alternatives import fitted_alternatives
 from calflow.diagnosis.background import BackgroundBasis
 from calflow.diagnosis.extension import FittedTrial, extend, largest_first, unnamed, weighed, weighed_against
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.misfit import MisfitRegion, largest_misfit
+from calflow.diagnosis.models_in_reach import ModelInReach, models_in_reach
 from calflow.diagnosis.noise_model import Growth, NoiseLevels, noise_of_repeats, noise_of_residuals
 from calflow.diagnosis.screening import Catalogue
+from calflow.diagnosis.standstills import Standstills
 from calflow.diagnosis.stepwise import SHARES, CauseAcceptance, Stepwise, words
 from calflow.diagnosis.trial import Screened
-from calflow.diagnosis.unexplained import Standstills, UnexplainedStructure, suspected, unexplained
-from calflow.diagnosis.verdict import (
-    ModelInReach,
-    Verdict,
-    deployed_model,
-    fitted_alternatives,
-    models_in_reach,
-    no_surer_than_its_size,
-    verdict,
-)
+from calflow.diagnosis.unexplained import UnexplainedStructure, suspected, unexplained
+from calflow.diagnosis.verdict import Verdict, deployed_model, no_surer_than_its_size, verdict
 from calflow.effects.cause import Cause
 from calflow.estimation.accuracy import Accuracy, accuracy, leading_errors
 from calflow.estimation.calibrated_model import Alternative, CalibratedModel, series_noise

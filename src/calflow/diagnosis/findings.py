@@ -8,12 +8,13 @@ from typing import Any, Literal
 
 import numpy as np
 
+from calflow.diagnosis.amplitude import CERTAIN, SIZE, Amplitude, found_amplitude
 from calflow.diagnosis.diagnosis import Diagnosis
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.misfit import MisfitRegion
 from calflow.diagnosis.noise_model import RANGE, Growth
 from calflow.diagnosis.unexplained import POSE, UnexplainedStructure, is_of_its_curve, left_along, predicted
-from calflow.diagnosis.verdict import CERTAIN, SIZE, Amplitude, Rival, Verdict, found_amplitude, named
+from calflow.diagnosis.verdict import Rival, Verdict, named
 from calflow.effects import catalogue
 from calflow.effects.base import FORMS_OF_ONE, ITS_ANGLE, ITS_TORQUE, SMOOTH_IN, effect_class
 from calflow.effects.cause import Cause

@@ -20,10 +20,10 @@ from calflow.deployment.usability import (
 from calflow.deployment.validation import Validation
 from calflow.design.discrimination import ENOUGH, MOST_NEXT_POSES, NextPose
 from calflow.design.isolability import isolability_gaps
+from calflow.diagnosis.amplitude import CERTAIN
 from calflow.diagnosis.cause_tables import CandidateRow
 from calflow.diagnosis.findings import RESTS
 from calflow.diagnosis.misfit import MisfitRegion
-from calflow.diagnosis.verdict import CERTAIN
 from calflow.effects.base import NEEDS, Need
 from calflow.effects.geometry import LINK_BOUND, Geometry
 from calflow.effects.wording import UNEXPLAINED, cause_name, place_name, place_names
