@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -39,6 +40,17 @@ def test_lengths_in_inches_are_read_so(tmp_path):
     assert (fault.cause, fault.action) == ("unit-mistake", "corrected")
     assert fault.statement.startswith("lengths are in inches instead of mm in lines 22 to 51 of measurements wire 1")
     assert data.table["length"].min() > 0.1
+
+
+def test_a_tool_stated_far_off_is_told(tmp_path):
+    """Fails if its figure ends at a bound of the fit without a word, or a tool that the fit can correct is refused."""
+    data = wires(tmp_path, slice(0), 0).measurements()
+    ((name, marker),) = data.robot.markers.items()
+    longer = [replace(marker, point=(*marker.point[:2], marker.point[2] + by)) for by in (0.03, 0.27)]
+    near, far = (data.on(replace(data.robot, markers={name: marker})) for marker in longer)
+    assert examined(near)[1] == ()
+    with pytest.raises(InputError, match=rf"marker {name} is mistyped, 27\d mm off; expected about point_mm"):
+        examined(far)
 
 
 @pytest.mark.parametrize("of", [0, 1])

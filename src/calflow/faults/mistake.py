@@ -418,12 +418,7 @@ class LinkDimensions:
 
     def _marker(self, name: str, columns: list[int], explanation: FittedSetup) -> str:
         right = np.array([explanation.figure(self.parameters[k]) for k in columns])
-        typed = np.array([self.parameters[k].figure for k in columns])
-        far = np.linalg.norm(right - typed)
-        other_axes = np.abs(np.sort(np.abs(right)) - np.sort(np.abs(typed))).max() < max(TYPO, 0.2 * far)
-        axes = "on another axis" if other_axes else f"{rounded(1e3 * float(far))} mm off"
-        expected = f"expected about point_mm = [{_mm(right)}] in the robot file, found [{_mm(typed)}]"
-        return f"marker {name} is mistyped, {axes}; {expected}"
+        return marker_mistyped(name, np.array([self.parameters[k].figure for k in columns]), right)
 
     def pounds(self) -> Iterator[Mistake]:
         """Yield payloads stated in pounds."""
@@ -466,6 +461,15 @@ def _freed_from(figure: int, changes: np.ndarray) -> Undo:
         return tried[int(left.argmin())].freed(figure)
 
     return undo
+
+
+def marker_mistyped(name: str, typed: np.ndarray, right: np.ndarray) -> str:
+    """Return in words that a marker is not where it is typed, each (3,) [m]."""
+    far = np.linalg.norm(right - typed)
+    other_axes = np.abs(np.sort(np.abs(right)) - np.sort(np.abs(typed))).max() < max(TYPO, 0.2 * far)
+    axes = "on another axis" if other_axes else f"{rounded(1e3 * float(far))} mm off"
+    expected = f"expected about point_mm = [{_mm(right)}] in the robot file, found [{_mm(typed)}]"
+    return f"marker {name} is mistyped, {axes}; {expected}"
 
 
 def _mm(point: np.ndarray) -> str:

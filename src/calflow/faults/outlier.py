@@ -15,20 +15,18 @@ import numpy as np
 import scipy
 
 from calflow.estimation.accuracy import distances, leading_errors
-from calflow.estimation.fit import Fit, fit_reweighted
-from calflow.estimation.least_squares import LeastSquares
+from calflow.estimation.fit import Fit
 from calflow.estimation.leverage import Studentised
-from calflow.estimation.noise import measured_noise
-from calflow.estimation.registration import in_measuring_frame, registered_model
+from calflow.estimation.registration import in_measuring_frame
 from calflow.faults.base import MISNAMED, Correction, Fault, correct, fault, faulty_rows
+from calflow.faults.marker_elsewhere import GeometryFit, check_markers
 from calflow.faults.mistake import LENGTH_UNITS
-from calflow.faults.reference import EQUATIONS, Reference
+from calflow.faults.reference import Reference
 from calflow.faults.rough import FAR_BETTER, GROSS, LEAST_GROSS
 from calflow.files.problems import refuse
 from calflow.files.units import METRE, MeasurementUnit
 from calflow.files.words import rounded
 from calflow.measurements.measurements import Measurements, image_numbers
-from calflow.model import build
 from calflow.observations import Observation, observations
 from calflow.observations.camera import Camera
 
@@ -148,20 +146,13 @@ def gross_rows(data: Measurements, which: np.ndarray) -> tuple[Fault, ...]:
     """Return the outliers among some rows (n_rows,) by a robust fit of all training rows, one fault per series.
 
     Raises:
-        InputError: no such robot explains images.
+        InputError: no such robot explains images, or a marker is far from where it is stated.
     """
-    nominal, here = registered_model(data)
-    train, observed = here.only(data.train), nominal.observations
-    model = build(here.robot, ("geometry",), data.given, observed)
-    noise = measured_noise(here, "estimated", nominal).only(data.train)
-    if LeastSquares.of(model, train, noise).size < EQUATIONS * len(model.parameters):
+    if (fitted := GeometryFit.of(data)) is None:
         return ()
-    fit = fit_reweighted(model, train, noise, model.prior_mean[None], "cauchy")[0]
-
-    def missed(by: Measurements) -> np.ndarray:
-        return distances(leading_errors(model, fit.estimate, by))
-
-    miss = leading_errors(model, fit.estimate, here)
+    check_markers(data, fitted)
+    here, observed = fitted.here, fitted.model.observations
+    miss = fitted.errors(here)
     faults: list[Fault] = []
     far = distances(miss)
     for k in np.unique(data.series_number[which]):
@@ -180,7 +171,7 @@ def gross_rows(data: Measurements, which: np.ndarray) -> tuple[Fault, ...]:
             )
         of_series = f" of measurements {data.series[k].name or k + 1}" if len(data.series) > 1 else ""
         better = np.minimum(limit, far / FAR_BETTER)
-        explained = _read_otherwise(here, observed[int(k)], gross, better, of_series, missed)
+        explained = _read_otherwise(here, observed[int(k)], gross, better, of_series, fitted)
         gross[[correction.row - 1 for fault in explained for correction in fault.corrections]] = False
         if gross.sum() > MAX_OUTLIER_SHARE * rows.sum():  # the fit is wrong: a row agrees with it by chance alone
             continue
@@ -200,18 +191,20 @@ def _mistaken(data: Measurements, far: np.ndarray, rows: np.ndarray) -> float:
 
 def _read_otherwise(
     data: Measurements, observation: Observation, gross: np.ndarray, limit: np.ndarray, of_series: str,
-    miss: Callable[[Measurements], np.ndarray],
+    fitted: GeometryFit,
 ) -> tuple[Fault, ...]:  # fmt: skip
     """Return a fault for each other reading by which rows or images with gross errors (n_rows,) agree with the others.
 
-    limit (n_rows,): the greatest error that is mended, in the leading unit; miss: returns the errors of other data. What two
-    readings would mend is left alone.
+    limit (n_rows,): the greatest error that is mended, in the leading unit. What two readings would mend is left alone.
     """
     group = image_numbers(data.table) if data.in_images else np.arange(len(data))
     size = np.bincount(group)
     rows = np.flatnonzero((np.bincount(group, gross) >= MOSTLY * size)[group]).tolist()
     readings = [*_readings(data, observation, rows)] if rows else []
-    fits = [np.bincount(group, miss(correct(data, reading)) < limit) >= MOSTLY * size for reading in readings]
+    fits = [
+        np.bincount(group, distances(fitted.errors(correct(data, reading))) < limit) >= MOSTLY * size
+        for reading in readings
+    ]
     unique = np.sum(fits, axis=0) == 1
     mended = [[made for made in reading.corrections if (fit & unique)[group[made.row - 1]]]
               for reading, fit in zip(readings, fits, strict=True)]  # fmt: skip
