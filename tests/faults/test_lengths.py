@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import pytest
 import calflow as cf
 from calflow.faults import examined
 from calflow.files.problems import InputError
+from conftest import in_process
 from first_steps import ARM, head
 
 ANCHORS = ([1.9, 0.3, -0.2], [-0.9, 0.8, 0.9])
@@ -51,6 +53,20 @@ def test_a_tool_stated_far_off_is_told(tmp_path):
     assert examined(near)[1] == ()
     with pytest.raises(InputError, match=rf"marker {name} is mistyped, 27\d mm off; expected about point_mm"):
         examined(far)
+
+
+def test_lengths_that_no_robot_explains_are_not_ok(tmp_path):
+    """Fails if a check calls a study valid whose nominal robot is decimetres off, for no reason that is looked for."""
+    wires(tmp_path, slice(0), 0)
+    assert in_process("check", tmp_path / "study.toml").out.splitlines()[-1] == "ok"
+    for name in ("0.csv", "1.csv"):
+        first, *rows = (tmp_path / name).read_text().splitlines()
+        shuffled = [
+            row.rsplit(",", 1)[0] + "," + other.rsplit(",", 1)[1] for row, other in zip(rows, rows[::-1], strict=True)
+        ]
+        (tmp_path / name).write_text("\n".join([first, *shuffled]))
+    told = in_process("check", tmp_path / "study.toml").out.splitlines()[-1]
+    assert re.match(r"not ok: the nominal robot misses by [\d.]+ mm, which no robot does", told)
 
 
 @pytest.mark.parametrize("of", [0, 1])

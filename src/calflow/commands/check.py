@@ -67,7 +67,8 @@ def check_command(study: Path) -> None:
     for warning in checked.warnings:
         say(warning)
     unsettled = any(fault.action == "unsettled" for fault in checked.faults)
-    say("settle the mistake first: diagnose names no cause before" if unsettled else "ok")
+    first = "settle the mistake first: diagnose names no cause before"
+    say(first if unsettled else f"not ok: {checked.far_off}" if checked.far_off else "ok")
 
 
 def _counted(path: Path, data: Measurements) -> str:

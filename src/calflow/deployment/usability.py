@@ -155,13 +155,18 @@ def noise_contradicted(outcome: RunOutcome) -> Iterator[Advice]:
 
 def nominal_far_off(outcome: RunOutcome) -> Iterator[Advice]:
     """A nominal robot that misses by a tenth of the measured space is misdescribed or misread."""
-    off = outcome.accuracy[0].mean_mm
-    if off >= FAR_OFF * outcome.summary.spread_mm:  # nan: no lengths were measured
-        sentence = (
-            f"Do not use this result: the nominal robot misses by {mm(off)} mm, which no robot does. Check for swapped axes, a "
-            "joint's sign or order, the DH convention, and single wild rows."
-        )
-        yield Advice(1, sentence)
+    if words := far_off_words(outcome.accuracy[0].mean_mm, outcome.summary.spread_mm):
+        yield Advice(1, f"Do not use this result: {words}.")
+
+
+def far_off_words(off_mm: float, spread_mm: float) -> str:
+    """Return in words that a nominal robot misses points of some spread by too much; empty if it does not, or nan."""
+    if not off_mm >= FAR_OFF * spread_mm:
+        return ""
+    return (
+        f"the nominal robot misses by {mm(off_mm)} mm, which no robot does. Check for swapped axes, a joint's sign or order, the "
+        "DH convention, where base and tool are stated, and single wild rows"
+    )
 
 
 def not_converged(outcome: RunOutcome) -> Iterator[Advice]:

@@ -230,6 +230,11 @@ def mean_rms_max(size: np.ndarray) -> tuple[float, float, float]:
     return float(size.mean()), float(np.sqrt((size**2).mean())), float(size.max())
 
 
+def spread_mm(points: np.ndarray) -> float:
+    """Return the mean distance of points (n, 3) [m] from their centroid, in mm."""
+    return 1e3 * float(np.linalg.norm(points - points.mean(axis=0), axis=1).mean())
+
+
 def accuracy(
     name: str, error: np.ndarray, measured: Measurements, step: int = 0, added: Effect | None = None
 ) -> list[Accuracy]:

@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from calflow.effects import Effect, effect_ids
 from calflow.effects.geometry import Geometry
-from calflow.estimation.accuracy import Accuracy, accuracy, leading_errors
+from calflow.estimation.accuracy import Accuracy, accuracy, leading_errors, spread_mm
 from calflow.estimation.calibrated_model import CalibratedModel, series_noise
 from calflow.estimation.error_model import ErrorModel, SmoothVariances, beside_smooth_errors
 from calflow.estimation.extrapolation import beyond_measured, extrapolation
@@ -83,7 +83,7 @@ class FittedEffects:
         return IdentifySummary(
             sigma_mm=1e3 * noise.typical(METRE) if METRE in noise.leading else None,
             **fit_figures(fit, self.known, self.lack, out.at_new_poses, out.upper_limit(noise.known)),
-            spread_mm=1e3 * float(np.linalg.norm(points - points.mean(axis=0), axis=1).mean()),
+            spread_mm=spread_mm(points),
             rank=sum(ranks.values()),
             parameters=len(fit.model.parameters),
             rank_by_effect=ranks,

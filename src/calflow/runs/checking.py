@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 
-from calflow.estimation.accuracy import accuracy, leading_errors
+from calflow.deployment.usability import far_off_words
+from calflow.estimation.accuracy import accuracy, leading_errors, spread_mm
 from calflow.estimation.lack_of_fit import NoiseDoubt, doubts_of_repeats
 from calflow.estimation.registration import registered_model
 from calflow.faults import Fault, examined
@@ -26,7 +27,7 @@ class Checked:
 
     nominal: errors of the manufacturer's robot, with registered base and tool and corrected faults, as accuracy.csv has
     them; doubts: stated noises that the repeats contradict; demands: memory and time of each stage; warnings: demands
-    that are large for this machine.
+    that are large for this machine; far_off: in words, that the nominal errors are larger than any robot's.
     """
 
     data: Measurements
@@ -34,6 +35,7 @@ class Checked:
     n_parameters: int
     nominal: pd.DataFrame
     doubts: tuple[NoiseDoubt, ...] = ()
+    far_off: str = ""
     demands: Mapping[str, Demand] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
 
@@ -79,4 +81,7 @@ def _checked(study: Study, data: Measurements) -> Checked:
     error = leading_errors(nominal, nominal.nominal, placed)
     doubts = doubts_of_repeats(placed, error, tuple(False for _ in data.series))
     n_parameters = len(stated(study.robot, study.file.effects, mended.only(mended.train)).parameters)
-    return Checked(data, faults, n_parameters, pd.DataFrame(accuracy("nominal", error, mended)), doubts)
+    errors = pd.DataFrame(accuracy("nominal", error, mended))
+    points = nominal.point(nominal.nominal, placed.only(placed.train | placed.held_out).conditions)
+    far_off = far_off_words(errors["mean_mm"].iloc[0], spread_mm(points))
+    return Checked(data, faults, n_parameters, errors, doubts, far_off)
