@@ -11,6 +11,7 @@ from calflow.diagnosis.alternatives import MOST_FITTED, _forms_by_other_conditio
 from calflow.diagnosis.models_in_reach import ModelInReach
 from calflow.diagnosis.screening import Family
 from calflow.diagnosis.trial import Detection
+from calflow.diagnosis.unexplained import UnexplainedStructure, share_unnamed
 from calflow.diagnosis.verdict import Rival, verdict
 from calflow.effects.cause import Cause
 from calflow.effects.wording import UNEXPLAINED
@@ -62,11 +63,24 @@ def test_what_cannot_be_told_from_an_unnamed_error_is_as_likely_one(final):
     (without,) = fitted_alternatives([as_good], final)
     assert (without.gone, without.rival) == (ECCENTRIC, None)
     assert without.probability == pytest.approx((as_good.probability + as_good.of_unnamed) / 2)
+    (shared,) = fitted_alternatives([judged()], final, unnamed={ECCENTRIC: 0.2})
+    assert (shared.gone, shared.probability) == (ECCENTRIC, pytest.approx(0.2 * judged().probability))
     alone, gone = final.smooth.variance, final.smooth.without([ECCENTRIC]).variance
     unsure = replace(final, doubted={ECCENTRIC: without.probability})
     between = final.with_smooth_errors((alone + gone) / 2)[1]
     assert gone.sum() > alone.sum()
     assert unsure.errors.sd == pytest.approx(between.sd)
+
+
+def test_a_cause_is_doubted_by_as_much_as_is_left_beside_it(final):
+    """Fails if a little left along its input makes a gear that explains nearly all as likely absent, or more of its curve does."""
+    own = replace(score(-50.0, "joint-eccentricity", 2, order=1), share=0.8)
+    found, left = Detection(ECCENTRIC, (own,), Family({}, 1.0)), UnexplainedStructure(("q2", "q5"), 1e-9, 0.5, ())
+    assert share_unnamed(found, final.model, [left]) == pytest.approx(
+        0.1 / 0.9
+    )  # of chi² that the cause had left over, half
+    assert share_unnamed(found, final.model, [replace(left, along=("q2",))]) == 0
+    assert share_unnamed(found, final.model, [replace(left, inputs=("q3",))]) == 0
 
 
 def test_a_probable_cause_beside_those_found_is_an_alternative(final):

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -22,12 +23,14 @@ MOST_FITTED = 4  # rivals that are fitted, the likeliest
 
 
 def fitted_alternatives(
-    verdicts: Sequence[Verdict], final: Fitted, suspected: Sequence[Verdict] = (), in_reach: Sequence[ModelInReach] = ()
-) -> tuple[Alternative, ...]:
+    verdicts: Sequence[Verdict], final: Fitted, suspected: Sequence[Verdict] = (), in_reach: Sequence[ModelInReach] = (),
+    unnamed: Mapping[Cause, float] = MappingProxyType({}),
+) -> tuple[Alternative, ...]:  # fmt: skip
     """Return models with the likeliest rivals fitted in the causes' places, one at a time, except untestable rivals.
 
     Forms of a cause by other conditions of a row are rivals too. Suspected causes and their rivals are further alternatives, as are
-    probable causes beside those found: too small to be named for certain, they shift predictions all the same.
+    probable causes beside those found: too small to be named for certain, they shift predictions all the same. unnamed is the
+    share of an unnamed error in what it and a cause explain (see `share_unnamed`).
     """
     every = [*((verdict, verdict.cause) for verdict in verdicts), *((suspect, None) for suspect in suspected)]
     asked: list[tuple[float, Cause | None, Cause | None]] = [
@@ -41,12 +44,16 @@ def fitted_alternatives(
         for verdict in verdicts
         for probability, form in _forms_by_other_conditions(verdict, final.model)
     ]
-    # How well an unnamed error explains the data, its form being a guess, says which is likelier, but not by how much. One that is
-    # left beside a cause is another one, of which smooth errors say how large it may be elsewhere.
+    # How well an unnamed error explains the data, its form being a guess, says which is likelier, but not by how much.
     asked += [
-        ((verdict.probability + verdict.of_unnamed) / 2, verdict.cause, None)
+        (
+            (verdict.probability + verdict.of_unnamed) / 2
+            if UNEXPLAINED in {rival.id for rival in verdict.rivals}
+            else verdict.probability * unnamed.get(verdict.cause, 0.0),
+            verdict.cause,
+            None,
+        )
         for verdict in verdicts
-        if UNEXPLAINED in {rival.id for rival in verdict.rivals}
     ]
     asked += [(suspect.probability, None, suspect.cause) for suspect in suspected]
     asked += [

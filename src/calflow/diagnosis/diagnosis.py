@@ -21,7 +21,7 @@ from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.standstills import Standstills
 from calflow.diagnosis.stepwise import SHARES, CauseAcceptance, Stepwise, words
 from calflow.diagnosis.trial import Screened
-from calflow.diagnosis.unexplained import UnexplainedStructure, suspected, unexplained
+from calflow.diagnosis.unexplained import UnexplainedStructure, share_unnamed, suspected, unexplained
 from calflow.diagnosis.verdict import Verdict, deployed_model, no_surer_than_its_size, verdict
 from calflow.effects.cause import Cause
 from calflow.estimation.accuracy import Accuracy, accuracy, leading_errors
@@ -286,7 +286,8 @@ def search_causes(
         say(f"{words(suspect.cause)} remains a suspicion: it does not help at poses left out")
     ordered = (*deployed, *suspects)
     in_reach = models_in_reach(extended, ordered, beside, every, suspects)
-    alternatives = fitted_alternatives(deployed, extended, suspects, in_reach)
+    unnamed_by_left = {verdict.cause: share_unnamed(verdict, extended.model, left) for verdict in deployed}
+    alternatives = fitted_alternatives(deployed, extended, suspects, in_reach, unnamed_by_left)
     doubted = {
         other.gone: other.probability
         for other in alternatives

@@ -20,6 +20,7 @@ from calflow.diagnosis.background import Field
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import Background
 from calflow.diagnosis.screening import MATERIAL, Score, Screening, by_place, place_probabilities
+from calflow.diagnosis.trial import Detection
 from calflow.effects.base import IN_TIME, ITS_ANGLE, ITS_TORQUE, NEEDS
 from calflow.effects.cause import Cause
 from calflow.estimation.accuracy import error_jacobian
@@ -107,6 +108,16 @@ def left_along(cause: Cause, model: Model, left: Sequence[UnexplainedStructure])
 def is_of_its_curve(left: UnexplainedStructure, cause: Cause) -> bool:
     """Whether a part of what is left is a curve of the cause's own input alone: more of the cause's family explains that."""
     return is_any_error_along(cause, left.inputs if left.inputs[0] == POSE else left.along)
+
+
+def share_unnamed(finding: Detection[Cause], model: Model, left: Sequence[UnexplainedStructure]) -> float:
+    """Return the share of what is left along an input through which a cause acts in what both explain of chi²; 0: nothing is."""
+    along = left_along(finding.cause, model, left)
+    if along is None or is_of_its_curve(along, finding.cause):
+        return 0.0
+    explained = finding.own.share
+    unnamed = along.share * (1 - explained)
+    return unnamed / (unnamed + explained)
 
 
 def _alone(*parts: tuple[str, ...]) -> tuple[str, ...]:
