@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import calflow as cf
 from calflow.robot.robot import Robot
 from calflow.study import load_study
 from hidden import trials
@@ -27,6 +28,15 @@ def test_the_tool_errs_by_what_is_promised(nominal, observe):
     errors = [trials.tool_error(nominal, observe, seed) for seed in range(3)]
     true, promised = (np.sqrt(np.mean([getattr(e, name) ** 2 for e in errors])) for name in ("true", "promised"))
     assert 0.3 * promised < true < 1.3 * promised
+
+
+def test_an_anchor_called_known_is_so_beside_the_base(nominal):
+    """Fails if a zero of joint 1, which turns the anchor about axis 1 as no other figure does, passes for a cause."""
+    rng = np.random.default_rng(1)
+    data = trials.by_wire(trials.Arm.drawn(nominal, rng), rng, {"anchor": tuple(trials.ANCHOR)})
+    calibration = cf.identify(data.robot, data, effects=["geometry"]).diagnose()
+    assert len(calibration.findings) == 0
+    assert calibration.accuracy[-1].mean_mm < 1e3 * trials.NOISE
 
 
 def test_two_stations_of_a_tracker(nominal):

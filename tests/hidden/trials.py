@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -40,10 +41,10 @@ class Error:
     promised: float
 
 
-def by_wire(arm: Arm, rng: np.random.Generator) -> Measurements:
-    """Return 60 lengths of a wire whose anchor nobody knows."""
+def by_wire(arm: Arm, rng: np.random.Generator, stated: Mapping[str, object] = MappingProxyType({})) -> Measurements:
+    """Return 60 lengths of a wire whose anchor nobody knows, unless it is stated."""
     table = wire(arm, arm.random(60, rng), ANCHOR, NOISE, rng)
-    return measured(arm.robot, table, Series.of("", "distance", {"offset": 0.0, "scale": 0.0}), NOISE)
+    return measured(arm.robot, table, Series.of("", "distance", {"offset": 0.0, "scale": 0.0, **stated}), NOISE)
 
 
 def by_sockets(arm: Arm, rng: np.random.Generator) -> Measurements:

@@ -133,7 +133,7 @@ def registered(
     if any(observation.from_outside for observation in observed):
         robot = _located(robot, observed, train)
     else:
-        robot = replace(robot, base=Base(fixed=True))
+        robot, observed = replace(robot, base=Base(fixed=True)), tuple(each.beside_base() for each in observed)
     nominal = build(robot, (), train.given)
     series = [train.only(train.of_series(k)) for k in range(len(observed))]
     return robot, tuple(

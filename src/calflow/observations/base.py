@@ -28,6 +28,7 @@ NOWHERE: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 PLACE = {"x": "m", "y": "m", "z": "m", "rx": "rad", "ry": "rad", "rz": "rad"}
 
 UNKNOWN_SD, UNKNOWN_BOUND = 0.5, 3.0  # m and rad: of an unstated pose, about the registered one
+NEAR_SD, NEAR_BOUND = (20e-3, 0.2)  # m: of a place stated beside the robot, which no device sees from outside
 UNKNOWN_SIZE_SD = 0.03  # share: of the size of a board or plate that nobody states
 USUAL_SIZE_SD = 5e-4  # and of one that counts as exact
 FURTHEST = 20.0  # standard deviations of what is stated at which it is a mistake
@@ -109,6 +110,10 @@ class Observation(ABC):
             return self
         settings = {**dict(self.series.settings), self.size_setting: UNKNOWN_SIZE_SD}
         return replace(self, series=replace(self.series, settings=tuple(settings.items())))
+
+    def beside_base(self) -> Self:
+        """Return the observation where the base is the measuring frame: what is known there is known of the base roughly."""
+        return self
 
     @cached_property
     def declared(self) -> tuple[Parameter, ...]:

@@ -14,7 +14,17 @@ from calflow.files.toml import FileModel, Length, Lengths3, Unit
 from calflow.files.units import METRE
 from calflow.measurements.rows import Reported
 from calflow.measurements.series import Series
-from calflow.observations.base import NOWHERE, UNKNOWN_BOUND, UNKNOWN_SD, Links, OfThings, Seen, six
+from calflow.observations.base import (
+    NEAR_BOUND,
+    NEAR_SD,
+    NOWHERE,
+    UNKNOWN_BOUND,
+    UNKNOWN_SD,
+    Links,
+    OfThings,
+    Seen,
+    six,
+)
 from calflow.robot.parts import Parameter
 
 OFFSET_SD, OFFSET_BOUND = 0.02, 0.5  # m: zero of the wire
@@ -39,6 +49,7 @@ class Distance(OfThings):
     """
 
     found: float = 0.0  # m: the zero estimated at registration, where it is not stated
+    near: bool = False  # whether a known anchor is only near its stated place beside the base, which nothing places
 
     id = "distance"
     title = "length of a wire or a bar"
@@ -71,16 +82,27 @@ class Distance(OfThings):
         return self.series.number("offset") or self.found
 
     @property
-    def _open(self) -> tuple[str, ...]:
-        """The figures to be fitted, among anchor, offset and scale."""
+    def _unknown(self) -> tuple[str, ...]:
+        """The figures that are not stated, or roughly, among anchor, offset and scale."""
         rough = self.series.setting("anchor_known", True) is False
         unsaid = (name for name in ("anchor", "offset", "scale") if self.series.setting(name) is None)
         return tuple(dict.fromkeys([*(["anchor"] if rough else []), *unsaid]))
 
+    @property
+    def _open(self) -> tuple[str, ...]:
+        """The figures to be fitted, the anchor first."""
+        return tuple(dict.fromkeys([*(["anchor"] if self.near else []), *self._unknown]))
+
+    def beside_base(self) -> Self:
+        """Return the wire whose anchor is near its stated place beside the base: a zero of joint 1 moves it about axis 1."""
+        return replace(self, near=True)
+
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the anchor's position, the offset and the scale, so far as they are unknown."""
+        known = "anchor" not in self._unknown
+        sd, bound = (NEAR_SD, NEAR_BOUND) if known else (UNKNOWN_SD, UNKNOWN_BOUND)
         axes = [
-            self._error(axis, "m", UNKNOWN_SD, UNKNOWN_BOUND, self.anchor[k], f"anchor of {self.part}, {axis}")
+            self._error(axis, "m", sd, bound, self.anchor[k], f"anchor of {self.part}, {axis}")
             for k, axis in enumerate("xyz")
         ]
         zero = self._error("offset", "m", OFFSET_SD, OFFSET_BOUND, self.found, f"zero of {self.part}")
@@ -115,7 +137,7 @@ class Distance(OfThings):
 
     def registered(self, points: np.ndarray, links: Links, table: pd.DataFrame) -> Self:
         """Return the observation with unknown anchor and zero located by trilateration from the nominal robot's points."""
-        free = np.repeat([name in self._open for name in ("anchor", "offset")], [3, 1])
+        free = np.repeat([name in self._unknown for name in ("anchor", "offset")], [3, 1])
         if not free.any():
             return self
         length, stated = table["length"].to_numpy(float), np.array([*self.anchor, self._zero])

@@ -127,8 +127,10 @@ def planned_selection(
 ) -> tuple[Model, SelectionRequest, list[str]]:
     """Return the model that the poses are to determine before any is measured, the request for them, and the effects that
     are not in the model, since they depend on the side from which joints approach rather than on the poses."""
-    robot = study.robot if from_outside(study) else replace(study.robot, base=Base(fixed=True))
-    planned = planned_of(study, settings)
+    robot, planned = study.robot, planned_of(study, settings)
+    if not from_outside(study):
+        robot = replace(robot, base=Base(fixed=True))
+        planned = replace(planned, observation=planned.observation.beside_base())
     effects = list(dict.fromkeys((*study.file.effects, *settings.also_effects)))
     one_sided = [effect for effect in effects if SIDES & set(catalogue()[effect].needs)]
     model = build(robot, [effect for effect in effects if effect not in one_sided], (), (planned.observation,))
