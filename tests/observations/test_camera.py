@@ -62,6 +62,19 @@ def lens_stated(lens: Optics) -> str:
     return f"focal_px = {[*lens.focal]}\ncentre_px = {[*lens.centre]}\ndistortion = {[*lens.bend]}\n"
 
 
+def test_a_place_in_the_world_is_near_beside_a_base_that_nothing_places():
+    """Fails if it is taken for exact, which a zero of joint 1 turns, or what is on the arm or has a deviation for near."""
+    places = {f"{what}_{of}": (0.1, 0.2, 0.3) for what in ("camera", "target") for of in ("origin", "rotation")}
+    stated = {**places, "target_size": (0.2, 0.1), "focal": (1e3, 1e3), "focal_sd": 0.0, "centre": (500.0, 400.0), "centre_sd": 0.0,
+              "distortion": (), "distortion_sd": 0.0}  # fmt: skip
+    for sd, of_origin in ((0.0, 0.02), (1e-3, 1e-3)):
+        camera = Camera.planned(Series.of("", "camera", {**stated, "camera_origin_sd": sd}))
+        assert len(camera.declared) == (3 if sd else 0)
+        near = camera.beside_base().declared
+        assert [p.prior_sd for p in near] == [of_origin] * 3 + [0.02] * 3
+        assert all(p.meaning.startswith("place of the camera") for p in near)
+
+
 def test_a_series_called_as_a_marker_is_refused(tmp_path):
     """Fails if the place of a series' camera and that of a marker may be called the same, of which one would be lost."""
     made = photographed(UR5E, True, 6, np.random.default_rng(1))

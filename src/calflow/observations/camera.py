@@ -17,7 +17,18 @@ from calflow.files.units import PIXEL
 from calflow.measurements.measurements import image_numbers, spaced
 from calflow.measurements.rows import Reported
 from calflow.measurements.series import Series
-from calflow.observations.base import FURTHEST, NOWHERE, PLACE, UNKNOWN_BOUND, UNKNOWN_SD, Links, Observation, Seen, Six
+from calflow.observations.base import (
+    FURTHEST,
+    NEAR_SD,
+    NOWHERE,
+    PLACE,
+    UNKNOWN_BOUND,
+    UNKNOWN_SD,
+    Links,
+    Observation,
+    Seen,
+    Six,
+)
 from calflow.observations.hand_eye import FEWEST_IMAGE_POINTS, Sighting, camera_and_target, focal_length, sighting
 from calflow.observations.hand_eye_methods import METHODS, camera_by
 from calflow.observations.lens import DISTORTION, Lens, Model, projected, slopes
@@ -132,10 +143,12 @@ class Camera(Observation):
     The camera looks along its z axis, x to the right and y down; lens is Brown's model or a fisheye's, with OpenCV's
     coefficients. A row is one point of one target in one image; rows of a pose are an image. Several cameras, and targets,
     of one series are told apart by the columns `camera` and `target`; they have lenses and places of their own.
+    near says that a place stated in the world without a standard deviation is so beside the base, which nothing places.
     """
 
     cameras: tuple[Eye, ...] = (Eye(""),)
     targets: tuple[Board, ...] = (Board(""),)
+    near: bool = False
 
     id = "camera"
     title = "a target's points in images"
@@ -193,6 +206,10 @@ class Camera(Observation):
         """Return the errors of each camera's place and lens, then of each target's place and print, where not known."""
         return tuple(parameter for group in self._described for parameter in group if parameter)
 
+    def beside_base(self) -> Self:
+        """Return the images of what stands near its stated place beside the base: a zero of joint 1 turns it about axis 1."""
+        return replace(self, near=True)
+
     @property
     def _described(self) -> Iterator[tuple[Parameter | None, ...]]:
         """All errors there may be, camera by camera and target by target; None of what is known."""
@@ -207,10 +224,11 @@ class Camera(Observation):
 
     def _place(self, part: str, what: str, nominal: Six) -> list[Parameter | None]:
         parameters = []
+        known = NEAR_SD if self.near and self._link(f"{what}_on") is None else 0.0
         for (symbol, unit), figure in zip(PLACE.items(), nominal, strict=True):
             kind = "origin" if unit == "m" else "rotation"
             free = self.series.setting(f"{what}_{kind}") is None
-            sd = UNKNOWN_SD if free else self.series.number(f"{what}_{kind}_sd") or 0.0
+            sd = UNKNOWN_SD if free else self.series.number(f"{what}_{kind}_sd") or known
             bound = UNKNOWN_BOUND if free else FURTHEST * sd
             parameters.append(self._error(part, symbol, unit, sd, bound, figure, f"place of the {what}, {symbol}"))
         return parameters
