@@ -269,7 +269,7 @@ def gearless(data: Measurements) -> Measurements:
 OF_MASSES = (
     "joint-compliance", "nonlinear-joint-stiffness", "torque-backlash", "bearing-compliance", "bearing-play", "link-bending",
     "link-torsion", "base-compliance", "base-play", "gravity-compensator", "payload-mass", "payload-com", "link-mass",
-    "friction-wind-up", "base-off-level", "payload-step",
+    "friction-wind-up", "base-off-level", "payload-step", "dress-pack",
 )  # fmt: skip
 LACKING: list[tuple[str, Callable[[Measurements], Measurements], str]] = [
     *((name, bare, "mass_kg and com_mm") for name in OF_MASSES),

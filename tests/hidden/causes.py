@@ -16,6 +16,7 @@ from hidden.tool_causes import ON_TOOL
 WIND_UP = np.deg2rad(5.0)  # travel over which friction winds a joint up
 WARM_UP = 3600.0  # s
 COLUMN, ARM = 0.6, 0.15  # m: where a gas cylinder is hinged, below joint 2 and along the arm
+HUNG_UP = np.array([0.5, -0.3, 2.8])  # m from the base: where hoses come from
 PAYLOADS = ("none", "half", "full")
 
 
@@ -58,6 +59,9 @@ def response(robot: Robot, rows: Rows, state: State, hidden: tuple[Hidden, ...])
     helped = sum((ON_TORQUE[h.cause](h, state) for h in hidden if h.cause in ON_TORQUE), np.zeros(len(rows)))
     torque = state.torque.copy()
     torque[:, 1] += helped
+    for h in hidden:
+        if h.cause == "dress-pack":
+            torque += dress_pack(h, state)
     motion = replace(Motion.none(len(rows), robot.n), joint=robot.compliance * torque)
     for h in hidden:
         if h.cause in ON_JOINT:
@@ -226,6 +230,16 @@ def gravity_compensator(h: Hidden, state: State) -> Array:
     return h.size * (np.cross(arm, push) * joint[:, :3, 2]).sum(axis=1)
 
 
+def dress_pack(h: Hidden, state: State) -> Array:
+    """Torques [Nm] on a serial arm's joints of hoses that pull a link's far end, as hard anywhere, towards a place above."""
+    end = state.frames.tips[h.joint - 1][:, :3, 3]
+    pull = h.size * (HUNG_UP - end) / np.linalg.norm(HUNG_UP - end, axis=1)[:, None]
+    torque = np.zeros_like(state.torque)
+    for i, joint in enumerate(state.frames.joints[: h.joint]):
+        torque[:, i] = (np.cross(end - joint[:, :3, 3], pull) * joint[:, :3, 2]).sum(axis=1)
+    return torque
+
+
 def tool_deflection(h: Hidden, robot: Robot, rows: Rows, state: State) -> Motion:
     """The payload's weight moves the tool; with extra "anisotropic" twice and ten times less across x."""
     soft = h.size * (np.array([1.0, 0.5, 0.1]) if h.extra == "anisotropic" else np.ones(3))
@@ -351,5 +365,5 @@ ON_DEVICE = {
     **frame_causes.ON_DEVICE,
 }
 ON_TORQUE = {"gravity-compensator": gravity_compensator, **forms.ON_TORQUE}  # Nm on joint 2
-PHYSICAL = {*ON_JOINT, *ON_MOTION, *ON_ROBOT, *ON_DEVICE, *ON_TORQUE}
+PHYSICAL = {*ON_JOINT, *ON_MOTION, *ON_ROBOT, *ON_DEVICE, *ON_TORQUE, "dress-pack"}
 KNOWN = {*PHYSICAL, *ON_TABLE, "range-noise"}

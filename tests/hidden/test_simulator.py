@@ -48,6 +48,7 @@ USUAL = {
     "base-play": (0, 2e-4, ""),
     "rod-play": (3, 2e-4, ""),
     "gravity-compensator": (2, 1e3, ""),
+    "dress-pack": (4, 100.0, ""),
     "payload-mass": (0, 0.1, ""),
     "payload-com": (0, 0.05, ""),
     "payload-step": (0, 0.1, ""),

@@ -698,7 +698,7 @@ def rated_torques(robot: Robot) -> np.ndarray:
 
 def _gravity_torques(robot: Robot) -> np.ndarray:
     """Return the largest gravity torques of the joints over their ranges, shape (n_joints,)."""
-    function, sample = gravity_torque(robot), _spread(robot, 256)
+    function, sample = gravity_torque(robot), spread(robot, 256)
     heaviest = np.zeros(len(robot.payloads))
     if robot.payloads:
         heaviest[int(np.argmax([payload.mass or 0.0 for payload in robot.payloads.values()]))] = 1.0
@@ -710,7 +710,7 @@ def _gravity_torques(robot: Robot) -> np.ndarray:
     return np.asarray(largest)
 
 
-def _spread(robot: Robot, size: int) -> np.ndarray:
+def spread(robot: Robot, size: int) -> np.ndarray:
     """Return a low-discrepancy sample of the joints' ranges, (size, n_joints): Roberts' additive recurrence (2018).
 
     Importing scipy.stats for a better sequence takes longer than checking a study.
