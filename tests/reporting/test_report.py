@@ -247,8 +247,8 @@ def test_without_heldout_poses_the_report_says_so(tmp_path: Path) -> None:
 
 
 def test_no_noise_floor_is_claimed_where_only_the_fit_tells_the_noise(text: str, tmp_path: Path) -> None:
-    assert "noise alone would give" not in source_of(context(tmp_path, Case(stated=False)))
-    assert "noise alone would give" in text
+    assert "it alone would give" not in source_of(context(tmp_path, Case(stated=False)))
+    assert "it alone would give" in text
 
 
 def test_noise_floor_is_the_mean_length_of_the_noise(small: Context) -> None:
