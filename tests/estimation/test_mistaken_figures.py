@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 import calflow as cf
-from calflow.effects.geometry import PLACED_SD, Geometry
+from calflow.effects.geometry import Geometry
+from calflow.robot.parts import PLACED_SD
 from robots import industrial
 
 LENGTHS = (

@@ -17,9 +17,9 @@ from calflow.files.toml import Angles3, FileModel, Lengths3, Unit
 from calflow.files.units import PIXEL, MeasurementUnit
 from calflow.measurements.rows import Reported
 from calflow.measurements.series import Series
-from calflow.observations.base import UNKNOWN_BOUND, UNKNOWN_SD, Links, Observation, Seen, Six
+from calflow.observations.base import Links, Observation, Seen, Six
 from calflow.robot.frames import placement
-from calflow.robot.parts import Parameter
+from calflow.robot.parts import UNKNOWN_BOUND, UNKNOWN_SD, Parameter
 
 Image = Annotated[float, Unit("image")]
 NOWHERE: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)

@@ -113,9 +113,8 @@ def _torque(effect: DressPack) -> ca.Function:
     q, p = ca.SX.sym("q", robot.n_joints), ca.SX.sym("p", len(effect.declared))
     at, torque, forces = nominal_posture(robot, q), ca.SX(robot.n_joints, 1), list[ca.SX]()
     first, second = (at.joints[joint] for joint in robot.arm[:2])
-    upwards = ca.if_else(
-        ca.dot(at.down(robot), first[:3, 2]) > 0, -1, 1
-    )  # some makers' joint 1 counts about a downward axis
+    # Some makers' joint 1 counts about a downward axis.
+    upwards = ca.if_else(ca.dot(at.down(robot), first[:3, 2]) > 0, -1, 1)
     turned = ca.diag(ca.vertcat(1, 1, upwards)) @ elementary("rz", q[robot.arm[0]])[:3, :3] @ first[:3, :3].T
     frames = second, *(at.ends[link + 1] for link in effect._links)
     shoulder, *ends = (turned @ (frame[:3, 3] - first[:3, 3]) for frame in frames)

@@ -12,15 +12,13 @@ import casadi as ca
 from calflow.effects.base import Effect, Words
 from calflow.robot.frames import placement
 from calflow.robot.mechanism import Dimensions, Row
-from calflow.robot.parts import Parameter
+from calflow.robot.parts import PLACED_BOUND, PLACED_SD, UNKNOWN_BOUND, UNKNOWN_SD, Parameter
 from calflow.robot.robot import Robot
 
 # In m and rad: tolerances of machining and assembly, and the size beyond which a figure is mistaken rather than inexact.
 LINK_SD, LINK_BOUND = 2e-3, 20e-3
 USUAL_BOUNDS = -LINK_BOUND, LINK_BOUND
-PLACED_SD, PLACED_BOUND = 20e-3, 0.2  # base and markers at a stated place; figures of a robot that no maker set
 MISTAKE = 20.0  # standard deviations of a marker's stated relative place beyond which it is a mistake
-UNKNOWN_SD, UNKNOWN_BOUND = 0.5, 3.0  # base or marker without a stated place, about the registered place
 
 MEANINGS = {  # by field of `Dimensions`
     "base": "base, {symbol}",
@@ -154,6 +152,7 @@ def _links(robot: Robot, unstated: Sequence[str]) -> Iterator[DimensionError]:
                 link=i + 1, before=robot.parents[i]
             )
             free = step.symbol in unstated and step.symbol not in _with_flange(robot, i + 1)
+            # Figures of a robot that no maker set are as uncertain as places.
             sd, bound = (PLACED_SD, PLACED_BOUND) if free else (LINK_SD, LINK_BOUND)
             parameter = Parameter(Geometry.id, f"joint{i + 1}", step.symbol, step.unit, sd, -bound, bound,
                                   figure=step.value, meaning=words, joint=i + 1)  # fmt: skip

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calflow.effects.geometry import PLACED_BOUND, Geometry
+from calflow.effects.geometry import Geometry
 from calflow.estimation.accuracy import distances, leading_errors
 from calflow.estimation.fit import Fit, fit_reweighted
 from calflow.estimation.least_squares import LeastSquares
@@ -21,6 +21,7 @@ from calflow.files.problems import refuse
 from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, build
+from calflow.robot.parts import PLACED_BOUND
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,6 @@ import numpy as np
 
 from calflow.effects import catalogue
 from calflow.effects.base import Effect
-from calflow.effects.geometry import PLACED_SD as STATED_SD
 from calflow.effects.geometry import DimensionError, Geometry
 from calflow.effects.misstated_payload import PayloadMass
 from calflow.estimation.registration import marker_places, marker_shifts, with_markers
@@ -26,6 +25,7 @@ from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 from calflow.robot.frames import FrameOrigin, rpy_of, vector
 from calflow.robot.mechanism import Row
+from calflow.robot.parts import PLACED_SD as STATED_SD
 from calflow.robot.parts import Base, Parameter
 from calflow.robot.robot import Robot
 

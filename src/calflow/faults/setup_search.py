@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calflow.effects.geometry import PLACED_BOUND
 from calflow.faults.base import ROBOT, Action, Correction, Fault
 from calflow.faults.changed_setup import (
     causes_of_loads,
@@ -28,6 +27,7 @@ from calflow.faults.rough import FAR_BETTER, level, motion
 from calflow.faults.setup import PHYSICS, SINGLE, SUSPECT_SCALE, FittedSetup, Setup
 from calflow.files.problems import refuse
 from calflow.measurements.measurements import Measurements, spaced
+from calflow.robot.parts import PLACED_BOUND
 
 SCREENED = 60  # rows for screening candidates by rigid registration
 PLACED, FITTED = 20, 8  # candidates kept after screening, and after rigid fits

@@ -27,8 +27,6 @@ Links = Callable[[str], np.ndarray]  # frames (n_rows, 4, 4) of a link by name, 
 NOWHERE: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 PLACE = {"x": "m", "y": "m", "z": "m", "rx": "rad", "ry": "rad", "rz": "rad"}
 
-UNKNOWN_SD, UNKNOWN_BOUND = 0.5, 3.0  # m and rad: of an unstated pose, about the registered one
-NEAR_SD, NEAR_BOUND = 20e-3, 0.2  # m and rad: of a place beside a base that nothing places
 UNKNOWN_SIZE_SD = 0.03  # share: of the size of a board or plate that nobody states
 USUAL_SIZE_SD = 5e-4  # and of one that counts as exact
 FURTHEST = 20.0  # standard deviations of what is stated at which it is a mistake

@@ -17,23 +17,12 @@ from calflow.files.units import PIXEL
 from calflow.measurements.measurements import image_numbers, spaced
 from calflow.measurements.rows import Reported
 from calflow.measurements.series import Series
-from calflow.observations.base import (
-    FURTHEST,
-    NEAR_SD,
-    NOWHERE,
-    PLACE,
-    UNKNOWN_BOUND,
-    UNKNOWN_SD,
-    Links,
-    Observation,
-    Seen,
-    Six,
-)
+from calflow.observations.base import FURTHEST, NOWHERE, PLACE, Links, Observation, Seen, Six
 from calflow.observations.hand_eye import FEWEST_IMAGE_POINTS, Sighting, camera_and_target, focal_length, sighting
 from calflow.observations.hand_eye_methods import METHODS, camera_by
 from calflow.observations.lens import DISTORTION, Lens, Model, projected, slopes
 from calflow.robot.frames import angles, crossing, placement, placement_matrix, vector
-from calflow.robot.parts import Parameter
+from calflow.robot.parts import PLACED_SD, UNKNOWN_BOUND, UNKNOWN_SD, Parameter
 
 Pixels = Annotated[float, Unit("image")]
 PixelPair = Annotated[tuple[float, float], Unit("image")]
@@ -224,7 +213,7 @@ class Camera(Observation):
 
     def _place(self, part: str, what: str, nominal: Six) -> list[Parameter | None]:
         parameters = []
-        known = NEAR_SD if self.near and self._link(f"{what}_on") is None else 0.0
+        known = PLACED_SD if self.near and self._link(f"{what}_on") is None else 0.0
         for (symbol, unit), figure in zip(PLACE.items(), nominal, strict=True):
             kind = "origin" if unit == "m" else "rotation"
             free = self.series.setting(f"{what}_{kind}") is None

@@ -14,18 +14,8 @@ from calflow.files.toml import FileModel, Length, Lengths3, Unit
 from calflow.files.units import METRE
 from calflow.measurements.rows import Reported
 from calflow.measurements.series import Series
-from calflow.observations.base import (
-    NEAR_BOUND,
-    NEAR_SD,
-    NOWHERE,
-    UNKNOWN_BOUND,
-    UNKNOWN_SD,
-    Links,
-    OfThings,
-    Seen,
-    six,
-)
-from calflow.robot.parts import Parameter
+from calflow.observations.base import NOWHERE, Links, OfThings, Seen, six
+from calflow.robot.parts import PLACED_BOUND, PLACED_SD, UNKNOWN_BOUND, UNKNOWN_SD, Parameter
 
 OFFSET_SD, OFFSET_BOUND = 0.02, 0.5  # m: zero of the wire
 SCALE_SD, SCALE_BOUND = 1e-3, 0.05  # relative error of the drum's circumference
@@ -100,7 +90,7 @@ class Distance(OfThings):
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the anchor's position, the offset and the scale, so far as they are unknown."""
         known = "anchor" not in self._unknown
-        sd, bound = (NEAR_SD, NEAR_BOUND) if known else (UNKNOWN_SD, UNKNOWN_BOUND)
+        sd, bound = (PLACED_SD, PLACED_BOUND) if known else (UNKNOWN_SD, UNKNOWN_BOUND)
         axes = [
             self._error(axis, "m", sd, bound, self.anchor[k], f"anchor of {self.part}, {axis}")
             for k, axis in enumerate("xyz")

@@ -15,9 +15,9 @@ from calflow.files.deferred import Rotation, pd
 from calflow.files.units import METRE, MeasurementUnit
 from calflow.measurements.rows import POSITION, Reported
 from calflow.measurements.series import Series
-from calflow.observations.base import NOWHERE, PLACE, UNKNOWN_BOUND, UNKNOWN_SD, Links, Name, OfThings, Seen, Six
+from calflow.observations.base import NOWHERE, PLACE, Links, Name, OfThings, Seen, Six
 from calflow.robot.frames import motion_onto
-from calflow.robot.parts import Parameter
+from calflow.robot.parts import UNKNOWN_BOUND, UNKNOWN_SD, Parameter
 
 
 @dataclass(frozen=True)

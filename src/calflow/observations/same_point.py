@@ -14,9 +14,9 @@ from calflow.files.toml import FileModel, Length, Lengths3
 from calflow.files.units import METRE
 from calflow.measurements.rows import Reported
 from calflow.measurements.series import Series
-from calflow.observations.base import UNKNOWN_BOUND, UNKNOWN_SD, Links, Name, OfThings, Seen, six
+from calflow.observations.base import Links, Name, OfThings, Seen, six
 from calflow.robot.frames import apply
-from calflow.robot.parts import Parameter
+from calflow.robot.parts import UNKNOWN_BOUND, UNKNOWN_SD, Parameter
 
 APART_BOUND = 20.0  # standard deviations of a known distance
 SHORTEST_DISTANCE = 1e-6  # m

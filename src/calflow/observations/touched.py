@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from calflow.files.deferred import pd
-from calflow.observations.base import PLACE, UNKNOWN_BOUND, UNKNOWN_SD, OfThings
-from calflow.robot.parts import Parameter
+from calflow.observations.base import PLACE, OfThings
+from calflow.robot.parts import UNKNOWN_BOUND, UNKNOWN_SD, Parameter
 
 
 @dataclass(frozen=True)

@@ -35,6 +35,9 @@ from calflow.files.toml import (
 from calflow.robot.frames import Frame, Step, Vector
 
 STANDARD_GRAVITY: Vector = (0.0, 0.0, -9.80665)  # m/s²
+# Prior standard deviations and bounds [m and rad] of what stands at a stated place, and of what is placed by measurements.
+PLACED_SD, PLACED_BOUND = 20e-3, 0.2
+UNKNOWN_SD, UNKNOWN_BOUND = 0.5, 3.0
 MOST_EXTERNAL = 6  # largest number of an external axis
 BASE = "base"  # the link that no joint moves
 Thing = TypeVar("Thing")

@@ -148,7 +148,8 @@ class Laplace:
             prior = (values - problem.model.prior_mean) / problem.model.prior_sd
             return np.asarray(((deviation @ precision) * deviation - prior**2).sum(axis=-1))
 
-        return lambda values: self.least + self.variance * (quadratic(values.T) - quadratic(self.estimate))
+        at_estimate = quadratic(self.estimate)
+        return lambda values: self.least + self.variance * (quadratic(values.T) - at_estimate)
 
 
 @dataclass(frozen=True)
