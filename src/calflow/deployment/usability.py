@@ -53,7 +53,8 @@ class Advice:
     """Advice to the reader on what to do, sorted by urgency.
 
     urgency 1: do not use the result; 2: something is wrong or missing; 3: it could be better. effort: where it is
-    carried out; keys: the study's settings concerned; poses: number of poses to measure, 0: any, None: none.
+    carried out; keys: the study's settings concerned; poses: number of poses to measure, 0: any, None: none; reason: why,
+    and what else, in sentences for which the first page has no room.
     """
 
     urgency: int
@@ -61,11 +62,16 @@ class Advice:
     effort: int = AT_THE_ROBOT
     keys: str = ""
     poses: int | None = None
+    reason: str = ""
+
+    @property
+    def more(self) -> str:
+        """The reason and the settings concerned, for readers of the study's files; empty where there are none."""
+        return f"{self.reason} {f'(In the files: {self.keys}.)' if self.keys else ''}".strip()
 
     @property
     def whole(self) -> str:
-        """The sentences with the settings concerned, for readers of the study's files."""
-        return f"{self.sentence} (In the files: {self.keys}.)" if self.keys else self.sentence
+        return f"{self.sentence} {self.more}".rstrip()
 
 
 Rule = Callable[[RunOutcome], Iterable[Advice]]

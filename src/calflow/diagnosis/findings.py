@@ -270,6 +270,11 @@ class Finding:
     def of_angles(self) -> bool:
         return len(self._joints(ITS_ANGLE)) == len(self.inputs)
 
+    def may_be_curve(self, cause: str) -> bool:
+        """Whether structure depends on an input of which a cause's family has all curves."""
+        curves = SMOOTH_IN.get(cause_family(cause), ())
+        return any(name in curves or name.rstrip("0123456789") in curves for name in self.inputs)
+
     def _joints(self, of: str) -> list[str]:
         return [number for name in self.inputs if (number := name.removeprefix(of)).isdigit() and number != name]
 

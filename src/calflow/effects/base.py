@@ -68,7 +68,50 @@ def _recorded(words: str, plain: str, condition: str) -> Need:
     return Need(words, plain, lambda robot, given: condition in given, recorded=True)
 
 
-NEEDS = {
+NEEDS = {  # the least effort first
+    "order": _recorded("rows in measuring order", "in which order poses are measured", "order"),
+    "session": _recorded("a column session", "in which session each pose is measured", "session"),
+    "approach": _recorded(
+        "columns approach1 … (or in_order = true in the study's [measurements])",
+        "the side from which each joint comes to a pose",
+        "approach",
+    ),
+    "time": _recorded("a column time_s", "the time of each reading", "time"),
+    "warmth": Need(
+        "a column temperature_degC (that changes), or time_s",
+        "the time of each reading, or the temperature as it changes",
+        lambda robot, given: "temperature" in given or "time" in given,
+        recorded=True,
+    ),
+    "temperature": _recorded("a column temperature_degC", "the temperature at each reading", "temperature"),
+    "range": _recorded(
+        "the device's place, tracker_mm in the study's [measurements]", "where the instrument stands", "range"
+    ),
+    "travel": _recorded(
+        "columns travel1_deg (or _rad) … (or, without approach columns, in_order = true in the study's [measurements])",
+        "how far each joint moves to get to a pose",
+        "travel",
+    ),
+    "gear_ratio": Need(
+        "gear_ratio of a joint in the robot file",
+        "the joints' gear ratios",
+        lambda robot, given: any(joint.gear_ratio for joint in robot.joints),
+    ),
+    "payload": Need(
+        "a payload with a mass in the robot file",
+        "the mass of a payload",
+        lambda robot, given: any(load.mass != 0 for load in robot.payloads.values()),
+    ),
+    "floor": Need(
+        "a chain that begins at what stands on the floor (ground = 0 in the robot file)",
+        "that the chain begins at what stands on the floor",
+        lambda robot, given: robot.ground == 0,
+    ),
+    "distances": Need(
+        "relative_sd_mm of a marker in the robot file (its place beside the first, measured apart)",
+        "the distances between the markers, measured apart",
+        lambda robot, given: any(marker.relative_sd for marker in robot.markers.values()),
+    ),
     "masses": Need(
         "mass_kg and com_mm of every link and payload in the robot file",
         "the mass and the centre of gravity of every link and payload",
@@ -79,49 +122,9 @@ NEEDS = {
         "the masses of all links and payloads, or the motors' torques",
         lambda robot, given: robot.has_masses or "torque" in given,
     ),
-    "floor": Need(
-        "a chain that begins at what stands on the floor (ground = 0 in the robot file)",
-        "that the chain begins at what stands on the floor",
-        lambda robot, given: robot.ground == 0,
-    ),
-    "payload": Need(
-        "a payload with a mass in the robot file",
-        "the mass of a payload",
-        lambda robot, given: any(load.mass != 0 for load in robot.payloads.values()),
-    ),
-    "gear_ratio": Need(
-        "gear_ratio of a joint in the robot file",
-        "the joints' gear ratios",
-        lambda robot, given: any(joint.gear_ratio for joint in robot.joints),
-    ),
-    "distances": Need(
-        "relative_sd_mm of a marker in the robot file (its place beside the first, measured apart)",
-        "the distances between the markers, measured apart",
-        lambda robot, given: any(marker.relative_sd for marker in robot.markers.values()),
-    ),
-    "approach": _recorded(
-        "columns approach1 … (or in_order = true in the study's [measurements])",
-        "the side from which each joint comes to a pose",
-        "approach",
-    ),
-    "travel": _recorded(
-        "columns travel1_deg (or _rad) … (or, without approach columns, in_order = true in the study's [measurements])",
-        "how far each joint moves to get to a pose",
-        "travel",
-    ),
-    "wrench": _recorded("columns fx_N … mz_Nm", "the forces on the tool at each pose", "wrench"),
     "torque": _recorded("columns tau1_Nm …", "the motors' torques at each pose", "torque"),
     "speed": _recorded("columns speed1_deg_per_s …", "the joints' speeds at each reading", "speed"),
-    "time": _recorded("a column time_s", "the time of each reading", "time"),
-    "temperature": _recorded("a column temperature_degC", "the temperature at each reading", "temperature"),
-    "order": _recorded("rows in measuring order", "in which order poses are measured", "order"),
-    "session": _recorded("a column session", "in which session each pose is measured", "session"),
-    "warmth": Need(
-        "a column temperature_degC (that changes), or time_s",
-        "the time of each reading, or the temperature as it changes",
-        lambda robot, given: "temperature" in given or "time" in given,
-        recorded=True,
-    ),
+    "wrench": _recorded("columns fx_N … mz_Nm", "the forces on the tool at each pose", "wrench"),
     "slide": Need(
         "a prismatic joint in the robot file",
         "a linear axis",
@@ -133,9 +136,6 @@ NEEDS = {
         "the rods that drive a joint",
         lambda robot, given: robot.loop is not None,
         absent="no rods drive a joint",
-    ),
-    "range": _recorded(
-        "the device's place, tracker_mm in the study's [measurements]", "where the instrument stands", "range"
     ),
 }
 

@@ -72,6 +72,8 @@ ENSEMBLES_AGREE = 1.01  # R-hat up to which ensembles agree
 SUGGESTIVE = 0.05  # p-value below which a cause that was not accepted is worth a look
 REPEATS, REACHING = 10, 4  # poses that determine the noise, and those that fill the end of a joint's range
 MINUTES = 2  # per pose
+AT_ONCE = 2  # steps of a session on the first page
+COME_BACK = "Measure some poses again, coming back to each from elsewhere."
 REMEDIES = {  # by the kind of what has moved
     "zero": "Add the shift in recalibration.csv to the joint's reading in the controller (its zero, or mastering), or subtract it "
     "from every command: the calibration then holds again.",
@@ -148,9 +150,9 @@ def model_lacks(outcome: RunOutcome) -> Iterator[Advice]:
     if summary.lack_of_fit > LACKS and not summary.lacks_fit and not unexplained:
         chance = (
             f"The error left is {ratio(summary.lack_of_fit)} times the noise, which may be chance: what is known of the noise "
-            "rests on few repeats. Measure some poses again, coming back to each from elsewhere."
+            "rests on few repeats."
         )
-        yield Advice(2, chance, poses=REPEATS)
+        yield Advice(2, COME_BACK, poses=REPEATS, reason=chance)
     if summary.lacks_fit and not unexplained:
         stated = "file" in summary.noise_sources
         doubt = "the noise is larger than stated" if stated else "poses repeat worse than repeats in a row show"
@@ -174,12 +176,10 @@ def noise_doubtful(outcome: RunOutcome) -> Iterator[Advice]:
 def noise_unknown(outcome: RunOutcome) -> Iterator[Advice]:
     """Without a noise level known independently of the fit, the model's completeness cannot be tested."""
     if not outcome.summary.noise_known:
-        sentence = (
-            "Measure some poses again, coming back to each from elsewhere: at least "
-            f"{-(-MIN_REPEATS // 3)} repeats in all, better {REPEATS}. Or state the measurement noise. Without either, neither the "
-            "noise nor a gap in the model can be seen."
-        )
-        yield Advice(2, sentence, keys=f"sigma_{outcome.accuracy[0].unit}", poses=REPEATS)
+        repeats = f"at least {-(-MIN_REPEATS // 3)} repeats in all, better {REPEATS}"
+        sentence = f"{COME_BACK.removesuffix('.')}: {repeats}. Or state the measurement noise."
+        why = "Without either, neither the noise nor a gap in the model can be seen."
+        yield Advice(2, sentence, keys=f"sigma_{outcome.accuracy[0].unit}", poses=REPEATS, reason=why)
 
 
 def nothing_held_out(outcome: RunOutcome) -> Iterator[Advice]:
@@ -191,19 +191,19 @@ def nothing_held_out(outcome: RunOutcome) -> Iterator[Advice]:
     if _share_taken(outcome) <= HOLDING_OUT:
         yield Advice(2, f"Hold out three poses in ten: {flatters}", AT_THE_DESK, keys)
         return
-    further = f"Measure further poses and hold these out: none of those measured can be spared. {first_up(flatters)}"
-    yield Advice(2, further, keys=keys, poses=math.ceil(0.4 * outcome.summary.training_poses))
+    further = "Measure further poses and hold these out: none of those measured can be spared."
+    yield Advice(
+        2, further, keys=keys, poses=math.ceil(0.4 * outcome.summary.training_poses), reason=first_up(flatters)
+    )
 
 
 def few_poses(outcome: RunOutcome) -> Iterator[Advice]:
     """Parameters determined by few poses add more to the error at new poses than the device's noise does."""
     summary, poses = outcome.fit_summary, outcome.summary.training_poses
     if summary.times_noise > 1 and not summary.lacks_fit:
-        sentence = (
-            f"{plural(poses, 'pose')} are too few for what is fitted. At new poses like these expect an RMS error of "
-            f"{summary.at_new_poses}."
-        )
-        yield Advice(2, sentence, poses=math.ceil(poses * (2 * _share_taken(outcome) - 1)))
+        few = f"Measure further poses: {poses} are too few for what is fitted."
+        expected = f"At new poses like these expect an RMS error of {summary.at_new_poses}."
+        yield Advice(2, few, poses=math.ceil(poses * (2 * _share_taken(outcome) - 1)), reason=expected)
 
 
 def _share_taken(outcome: RunOutcome) -> float:
@@ -223,21 +223,21 @@ def does_not_carry_over(outcome: RunOutcome) -> Iterator[Advice]:
         return
     fitted, unseen, unit = train[-1].figures[0], held[-1].figures[0], held[-1].unit
     if unseen > WORSE * fitted:
-        sentence = (
+        sentence = "Measure as many further poses, spread over the space where the robot works."
+        why = (
             f"The error at held-out poses is {ratio(unseen / fitted)} times that at fitted ones ({mm(unseen)} {unit} "
-            f"against {mm(fitted)} {unit}). Measure as many further poses, spread over the space where the robot works."
+            f"against {mm(fitted)} {unit})."
         )
-        yield Advice(2, sentence, poses=outcome.summary.training_poses)
+        yield Advice(2, sentence, poses=outcome.summary.training_poses, reason=why)
 
 
 def reaches_beyond(outcome: RunOutcome) -> Iterator[Advice]:
     """Held-out poses beyond the fitted joint ranges require extrapolation."""
     if joints := outcome.summary.extrapolation:
-        sentence = (
-            f"Some held-out poses reach further than any fitted one ({plural_word(joints, 'joint')} {listed(joints, 8)}). Measure "
-            "poses for the fit that cover the whole range there."
-        )
-        yield Advice(3, sentence, poses=REACHING * len(joints))
+        which = f"{plural_word(joints, 'joint')} {listed(joints, 8)}"
+        sentence = f"Measure poses for the fit that cover the whole range of {which}."
+        why = f"Some held-out poses reach further in {which} than any fitted one."
+        yield Advice(3, sentence, poses=REACHING * len(joints), reason=why)
 
 
 def look_for_structure(outcome: RunOutcome) -> Iterator[Advice]:
@@ -275,10 +275,10 @@ def look_for_structure(outcome: RunOutcome) -> Iterator[Advice]:
 def _look_at_the_device(outcome: RunOutcome, worst: MisfitRegion) -> Advice:
     """Return the advice on a lack of fit of one of several devices or sessions, to which the robot is the same."""
     sentence = (
-        f"More is left than noise, and it is {worst.words}. The robot is the same for all: the noise there is larger than stated, "
-        "or the device or its set-up errs. State the noise of each, or measure some poses there several times."
+        f"More is left than noise, {worst.words}. State the noise of each, or measure some poses there several times."
     )
-    return Advice(2, sentence, keys=f"a column sigma_{outcome.accuracy[0].unit}", poses=REPEATS)
+    why = "The robot is the same for all: the noise there is larger than stated, or the device or its set-up errs."
+    return Advice(2, sentence, keys=f"a column sigma_{outcome.accuracy[0].unit}", poses=REPEATS, reason=why)
 
 
 def _look_there(outcome: RunOutcome) -> Advice:
@@ -286,16 +286,14 @@ def _look_there(outcome: RunOutcome) -> Advice:
     worst = outcome.diagnosis_summary.worst
     where = f"where {worst.where}" if worst else "at the poses with the largest errors"
     # A single marker that errs moves neither robot nor tool, and no cause is of its scatter.
-    loose = (
-        f" Look first whether marker {worst.value} sits firmly and is clean."
-        if worst and worst.input == "marker"
-        else ""
+    loose = worst and worst.input == "marker"
+    look = f"Look whether marker {worst.value} sits firmly and is clean. " if worst and loose else ""
+    sentence = f"{look}Measure again {where}, coming back to some poses from elsewhere."
+    why = (
+        f"More is left than noise, and nothing that was tested explains it{_nearest(outcome)}. What repeats is the robot's; what "
+        "does not is the measurement's or the set-up's."
     )
-    sentence = (
-        f"More is left than noise, and nothing that was tested explains it{_nearest(outcome)}.{loose} Measure again {where}, "
-        "coming back to some poses from elsewhere. What repeats is the robot's; what does not is the measurement's or the set-up's."
-    )
-    return Advice(2, sentence, keys="" if worst else "diagnose/residuals.csv has the errors", poses=REPEATS)
+    return Advice(2, sentence, keys="" if worst else "diagnose/residuals.csv has the errors", poses=REPEATS, reason=why)
 
 
 def _nearest(outcome: RunOutcome) -> str:
@@ -310,8 +308,9 @@ def _nearest(outcome: RunOutcome) -> str:
 
 
 def untested(outcome: RunOutcome) -> Iterator[Advice]:
-    """Where something stays unexplained, record the condition that makes most causes testable.
+    """Where something stays unexplained, provide what tests its likeliest cause, or costs least.
 
+    Likeliest is a curve of what the error depends on; what changes apart from the angles hardly explains an error by angles.
     Also the direction of approach, which costs nothing to record: only that reveals backlash. What depends on angles
     alone is not backlash, which differs by direction.
     """
@@ -325,12 +324,20 @@ def untested(outcome: RunOutcome) -> Iterator[Advice]:
     worth = [lacking for lacking in names if needs[lacking] and lacking not in asked]
     if not worth or not (outcome.unexplained or outcome.lack_of_fit_words):
         return
-    sides, of_angles = [NEEDS["approach"]], [finding.of_angles for finding in outcome.unexplained]
-    if of_angles and all(of_angles):
+    sides, left = [NEEDS["approach"]], outcome.unexplained
+    of_angles = bool(left) and all(finding.of_angles for finding in left)
+    if of_angles:
         worth = [lacking for lacking in worth if needs[lacking] != sides]
     by_sides = [lacking for lacking in worth if needs[lacking] == sides]
-    most = sorted(worth, key=lambda lacking: -len(names[lacking]))[:1]
-    yield from (_test_too(lacking, needs[lacking], names[lacking]) for lacking in dict.fromkeys((*by_sides, *most)))
+    likely = {row.lacking for row in rows if any(finding.may_be_curve(row.cause) for finding in left)}
+    costs = list(NEEDS.values())
+
+    def rank(lacking: str) -> tuple[bool, bool, int]:
+        asked = needs[lacking]
+        return lacking not in likely, of_angles and any(need.recorded for need in asked), max(map(costs.index, asked))
+
+    first = sorted(worth, key=rank)[:1]
+    yield from (_test_too(lacking, needs[lacking], names[lacking]) for lacking in dict.fromkeys((*by_sides, *first)))
 
 
 def _test_too(lacking: str, needs: Sequence[Need], names: Sequence[str]) -> Advice:
@@ -576,15 +583,11 @@ def unseen_compliance(outcome: RunOutcome) -> Iterator[Advice]:
     compliant = {row.parameter: row.part for row in outcome.identified_parameters if row.unit in LOAD_DRIVEN}
     silent = [name for statement in of_kind(outcome, "silent") for name in statement.parameters]
     if unseen := [name for name in silent if name in compliant]:
-        joints, whose = (
-            listed([part_words(compliant[name]) for name in unseen], 8),
-            "its" if len(unseen) == 1 else "their",
+        joints = listed([part_words(compliant[name]) for name in unseen], 8)
+        sentence = f"For the compliance of {joints}, which the measured loads do not twist, apply a known side force."
+        yield Advice(
+            3, sentence, WITH_MORE, poses=REACHING, reason="Under the measured loads an unknown compliance does no harm."
         )
-        sentence = (
-            f"The measured loads do not twist {joints}, so {whose} compliance stays unknown. That does no harm under such loads. "
-            "To measure it, apply a known side force."
-        )
-        yield Advice(3, sentence, WITH_MORE, poses=REACHING)
 
 
 def of_kind(outcome: RunOutcome, kind: str) -> list[Statement]:
@@ -687,14 +690,15 @@ def in_one_session(items: list[Advice]) -> list[Advice]:
     measured = [item for item in items if item.poses is not None]
     if not (poses := max((item.poses or 0 for item in measured), default=0)):
         return items
-    first = measured[0]
-    minutes = MINUTES * poses
+    first, minutes = measured[0], MINUTES * poses
     time = f"{minutes} minutes" if minutes < 120 else f"{minutes / 60:.1f} hours"
     begin = "Measure once more" if first.urgency <= WRONG else "If you measure again"
     lead = f"{begin}: about {plural(poses, 'pose')}, {time} at {MINUTES} minutes each."
-    sentences = " ".join(dict.fromkeys((lead, *(item.sentence for item in measured))))
     keys = "; ".join(dict.fromkeys(item.keys for item in measured if item.keys))
-    session = Advice(first.urgency, sentences, first.effort, keys, poses)
+    told = list(dict.fromkeys(item.sentence for item in measured))[:AT_ONCE]
+    further = (words for item in measured for words in (item.sentence, item.reason) if words and words not in told)
+    sentence, reason = " ".join((lead, *told)), " ".join(dict.fromkeys(further))
+    session = Advice(first.urgency, sentence, first.effort, keys, poses, reason)
     return [session if item is first else item for item in items if item is first or item.poses is None]
 
 

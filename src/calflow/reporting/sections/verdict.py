@@ -432,9 +432,9 @@ def tested_words(certainty: Certainty) -> str:
 
 @section(49, FOR_EXPERTS, "identify/accuracy.csv")
 def for_experts_section(material: Material) -> list[Block]:
-    """Return the divider, and the settings of the study that page one's advice refers to."""
+    """Return the divider, and why page one advises what it does, with the settings of the study."""
     steps = enumerate(next_steps(material), start=1)
-    keys = [(f"step {number}", item.keys) for number, item in steps if item.keys]
-    keys += [] if held_against_tolerance(material) else [("the tolerance", "tolerance_mm under [acceptance]")]
-    table = Table(("page one", "in the study's files"), keys, "ll", wide=1)
-    return [Divider(FOR_EXPERTS, WHAT_FOLLOWS), *headed("What page one advises, in the files", table, where=keys)]
+    more = [(f"step {number}", item.more) for number, item in steps if item.more]
+    more += [] if held_against_tolerance(material) else [("the tolerance", "tolerance_mm under [acceptance]")]
+    table = Table(("page one", "why, what else, and where in the study's files"), more, "ll", wide=1)
+    return [Divider(FOR_EXPERTS, WHAT_FOLLOWS), *headed("More on what page one advises", table, where=more)]
