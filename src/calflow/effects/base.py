@@ -201,22 +201,6 @@ def around(value: float, reach: float) -> list[float]:
     return [float(value + step) for step in (*-steps[::-1], 0.0, *steps)]
 
 
-def displaced(p: ca.SX, point: ca.SX) -> ca.SX:
-    """Return a point's displacement (3,) by a shift p (3,), or a shift and a small rotation about the origin (6,)."""
-    return p[:3] + (ca.cross(p[3:], point) if p.numel() == 6 else 0)
-
-
-# What of a lens changes: symbol and meaning of each parameter of `refocused`.
-LENS = (("f", "focal lengths"), ("x", "centre of the image along x"), ("y", "centre of the image along y"))
-
-
-def refocused(p: ca.SX, point: ca.SX) -> ca.SX:
-    """Return the displacement (3,) of a point in a camera's frame whose image changes as by longer focal lengths, times 1 + p[0],
-    and a centre shifted by p[1:3] focal lengths.
-    """
-    return ca.vertcat(p[0] * point[:2] + p[1:3] * point[2], 0)
-
-
 @dataclass(frozen=True)
 class Effect(ABC):
     """A physical cause of error. A subclass declares its parameters and overrides the one method in which it acts.

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import casadi as ca
 
-from calflow.effects.base import LENS, OF_THE_FRAME, Words, refocused
+from calflow.effects.base import OF_THE_FRAME, Words
+from calflow.effects.displacement import LENS, MOTION
 from calflow.effects.of_images import OfImages
-from calflow.effects.step_change import BOUND, StepChange
+from calflow.effects.step_change import PointStep
 from calflow.robot.mechanism import Row
 from calflow.robot.parts import Parameter
 
 
 @dataclass(frozen=True)
-class CameraSlip(OfImages, StepChange):
+class CameraSlip(OfImages, PointStep):
     """Point in the camera's frame - (x, y, z) - r x point, up to an image; of one camera, where there are several."""
 
     id = "camera-slip"
@@ -24,15 +24,15 @@ class CameraSlip(OfImages, StepChange):
     whole = "device"
     family = OF_THE_FRAME
     told_by = "photograph a target fixed beside the camera from time to time, or some of the first poses again"
-    shift_sd, turn_sd = 5e-4, 1e-3
+    displacement, sds = MOTION, {"m": 5e-4, "rad": 1e-3}
 
     def before(self, row: Row) -> ca.SX:
         """Return 1 for a row of the same camera (or target) before the slip, else 0."""
         return super().before(row) * self.mine(row)
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return the shift and the rotation."""
-        return self.along_axes(self.whole, turning=True)
+        """Return the figures of what slipped."""
+        return self.of_part(self.whole)
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
         """Return the point, as it was seen before the slip."""
@@ -68,16 +68,4 @@ class LensStep(CameraSlip):
         "lens that was touched", "focus, zoom or the lens in its mount moved once", "relative change of its images"
     )
     told_by = "lock focus and zoom, and photograph some of the first poses again"
-    lens_sd: ClassVar[float] = 2e-3
-
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Return the change of the focal lengths, and the shift of the image's centre."""
-        sd = self.lens_sd
-        return tuple(
-            Parameter(self.id, self.whole, symbol, "1", sd, -BOUND * sd, BOUND * sd, meaning=f"step of the {meaning}")
-            for symbol, meaning in LENS
-        )
-
-    def change(self, p: ca.SX, point: ca.SX) -> ca.SX:
-        """Return the displacement (3,) of a point in the camera's frame that changes its image alike."""
-        return refocused(p, point)
+    displacement, sds = LENS, {"1": 2e-3}

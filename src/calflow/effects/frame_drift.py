@@ -8,7 +8,8 @@ from typing import Self
 
 import casadi as ca
 
-from calflow.effects.base import IN_TIME, OF_THE_FRAME, Effect, Variable, Words, displaced
+from calflow.effects.base import IN_TIME, OF_THE_FRAME, Effect, Variable, Words
+from calflow.effects.displacement import displaced
 from calflow.effects.smooth_curve import MARGIN, RMS, waves
 from calflow.measurements.measurements import Measurements, pauses, sessions_of
 from calflow.robot.mechanism import Row, name_number

@@ -10,7 +10,8 @@ import casadi as ca
 import numpy as np
 
 from calflow.effects.base import OF_THE_FRAME, Words
-from calflow.effects.step_change import FEWEST, StepChange
+from calflow.effects.displacement import Rigid
+from calflow.effects.step_change import FEWEST, PointStep
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Dimensions, Row
 from calflow.robot.parts import Parameter
@@ -20,14 +21,13 @@ FOOT = "the robot's foot"
 
 
 @dataclass(frozen=True)
-class FrameStep(StepChange):
+class FrameStep(Rigid, PointStep):
     """Reported position - (x, y, z), and with turning - r x position (about the measuring frame's origin), up to a row.
 
     A change between two sessions is the frame of a session instead (see `session_frame`). Where there are several devices it is
     of one of them, or of the robot's foot, which moves it in its base's axes: all that are in use see that.
     """
 
-    turning: bool = False
     of: str = ""
 
     id = "frame-step"
@@ -69,13 +69,11 @@ class FrameStep(StepChange):
     @property
     def detail(self) -> str:
         """The row after which it moved, whether it rotated, and which device it was."""
-        return ", ".join(
-            filter(None, (super().detail, "turned too" if self.turning else "", self.of and f"of {self.of}"))
-        )
+        return f"{super().detail}{self.of and f', of {self.of}'}"
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the shift, and the rotation."""
-        return self.along_axes(self.whole, self.turning)
+        return self.of_part(self.whole)
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
         """Return the point, as it was reported before the moment."""

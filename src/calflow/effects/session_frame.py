@@ -9,7 +9,8 @@ from typing import Self
 import casadi as ca
 import numpy as np
 
-from calflow.effects.base import NOTHING, OF_THE_FRAME, Effect, Words, displaced
+from calflow.effects.base import NOTHING, OF_THE_FRAME, Effect, Words
+from calflow.effects.displacement import displaced
 from calflow.measurements.measurements import Measurements, borders, sessions_of
 from calflow.robot.mechanism import Row, name_number
 from calflow.robot.parts import Parameter

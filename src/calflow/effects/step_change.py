@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
 import casadi as ca
 import numpy as np
 
-from calflow.effects.base import OF_THE_FRAME, Effect, displaced
+from calflow.effects.base import OF_THE_FRAME, Effect
+from calflow.effects.displacement import Displacement
 from calflow.measurements.measurements import Measurements, borders, pauses
 from calflow.robot.mechanism import Row
 from calflow.robot.parts import Parameter
@@ -17,7 +20,6 @@ from calflow.robot.robot import Robot
 MOMENTS = 40  # most moments of one form that are searched at first
 BOUND = 300.0  # standard deviations
 FEWEST = 3  # fitted poses required before the first moment and after the last: one or two that are off are outliers
-AXES: tuple[tuple[str, str, str], ...] = (("", "m", "step along"), ("r", "rad", "turn about"))
 
 
 @dataclass(frozen=True)
@@ -37,8 +39,6 @@ class StepChange(Effect):
     needs: ClassVar[tuple[str, ...]] = ("order",)
     dated: ClassVar[bool] = True
     unnamed: ClassVar[tuple[str, ...]] = ("after", "between")  # the moment says as much
-    shift_sd: ClassVar[float] = 3e-4  # m
-    turn_sd: ClassVar[float] = 1e-4  # rad
 
     @classmethod
     def kinds(cls, robot: Robot) -> tuple[Self, ...]:
@@ -126,22 +126,28 @@ class StepChange(Effect):
         last, first = self.between
         return ca.fmin(1, ca.fmax(0, (first - row.time) / (first - last)))
 
-    def undone(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
-        """Return a point without its change where a row is before it: by a shift (3,), or a shift and a rotation (6,)."""
-        before = self.before(row)
-        return point - self.change(p, point) * before if before.nnz() else point
 
-    def change(self, p: ca.SX, point: ca.SX) -> ca.SX:
-        """Return a point's displacement (3,)."""
-        return displaced(p, point)
+@dataclass(frozen=True)
+class PointStep(StepChange):
+    """A step that displaces points."""
 
-    def along_axes(self, part: str, turning: bool) -> tuple[Parameter, ...]:
-        """Return a shift of a part, and a rotation."""
-        sds = (self.shift_sd, self.turn_sd)[: 2 if turning else 1]
+    sds: ClassVar[Mapping[str, float]] = {"m": 3e-4, "rad": 1e-4}  # usual sizes by unit
+
+    @property
+    @abstractmethod
+    def displacement(self) -> Displacement:
+        """What happens to points."""
+
+    def of_part(self, part: str) -> tuple[Parameter, ...]:
+        """Return the figures of the displacement of a part."""
         return tuple(
-            Parameter(self.id, part, symbol + axis, unit, sd, -BOUND * sd, BOUND * sd, meaning=f"{meaning} {axis}")
-            for (symbol, unit, meaning), sd in zip(AXES, sds, strict=False) for axis in "xyz"
-        )  # fmt: skip
+            self.displacement.parameters(self, part, self.sds, BOUND, {"m": "step", "rad": "turn", "1": "step"})
+        )
+
+    def undone(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
+        """Return a point without its displacement where a row is before the step."""
+        before = self.before(row)
+        return point - self.displacement.moved(p, point) * before if before.nnz() else point
 
 
 def _spans(data: Measurements) -> np.ndarray:

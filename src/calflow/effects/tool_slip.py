@@ -9,7 +9,8 @@ from typing import Self
 import casadi as ca
 
 from calflow.effects.base import Words
-from calflow.effects.step_change import StepChange
+from calflow.effects.displacement import Rigid
+from calflow.effects.step_change import PointStep
 from calflow.effects.tool_deflection import TOOL, markers_alone, tools
 from calflow.robot.frames import placement
 from calflow.robot.mechanism import Dimensions, Row
@@ -18,13 +19,11 @@ from calflow.robot.robot import Robot
 
 
 @dataclass(frozen=True)
-class ToolSlip(StepChange):
+class ToolSlip(Rigid, PointStep):
     """Marker's point - (x, y, z), and with turning - r x point, in the flange's frame, up to a row.
 
     Of a tool with all its markers, or, without rotation, of one of several markers.
     """
-
-    turning: bool = False
 
     id = "tool-slip"
     title = "slip of the tool"
@@ -32,7 +31,7 @@ class ToolSlip(StepChange):
     whole = TOOL
     imaged = False
     told_by = "measure the tool against its flange, or some of the first poses again"
-    turn_sd = 1e-3
+    sds = {"m": 3e-4, "rad": 1e-3}
 
     @classmethod
     def kinds(cls, robot: Robot) -> tuple[Self, ...]:
@@ -48,14 +47,9 @@ class ToolSlip(StepChange):
         alone = {} if self.turning else {name: (k,) for name, k in markers_alone(self.robot).items()}
         return whole | alone
 
-    @property
-    def detail(self) -> str:
-        """The row after which it slipped, and whether it rotated."""
-        return f"{super().detail}{', turned too' if self.turning else ''}"
-
     def parameters(self) -> tuple[Parameter, ...]:
         """Return each part's shift, and rotation."""
-        return tuple(parameter for part in self._markers for parameter in self.along_axes(part, self.turning))
+        return tuple(parameter for part in self._markers for parameter in self.of_part(part))
 
     def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
         """Return the dimensions with the markers, and the tool's rotation, as they were before the moment."""
