@@ -12,12 +12,14 @@ from scipy.spatial.transform import Rotation
 import calflow as cf
 import robots
 from calflow.design.candidates import packed_conditions
-from calflow.estimation.registration import base_turn, registered
+from calflow.estimation.accuracy import distances, leading_errors
+from calflow.estimation.registration import base_turn, registered, registered_model
 from calflow.measurements.measurements import Measurements
 from calflow.model import build
 from calflow.observations import observations
 from calflow.robot.parts import Base, Marker
 from estimation.data import measured
+from first_steps import FIRST_STEPS
 from robots import industrial
 
 
@@ -144,3 +146,13 @@ def test_a_known_base_stays():
     robot = industrial()
     data = measured(build(robot, ()), build(robot, ()).nominal, 10, np.random.default_rng(19))
     assert registered(robot, observations(data), data)[0] is robot
+
+
+@pytest.mark.parametrize("study", ["sockets", "wire"])
+def test_an_unknown_tool_is_placed_without_positions_too(study: str) -> None:
+    """Fails if a nominal robot is judged with the rough place of a ball that sockets or a wire show where it is."""
+    data = cf.load_study(FIRST_STEPS / f"{study}.toml").measurements()
+    rough = replace(data.robot.markers["ball"], point=(0.0, 0.0, 0.1), known=False)
+    model, here = registered_model(data.on(replace(data.robot, markers={"ball": rough})))
+    np.testing.assert_allclose(here.robot.markers["ball"].point, data.robot.markers["ball"].point, atol=3e-3)
+    assert np.median(distances(leading_errors(model, model.nominal, here))) < 1e-3

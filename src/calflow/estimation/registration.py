@@ -15,6 +15,7 @@ from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import Noise, Source
 from calflow.files.deferred import Rotation
 from calflow.files.problems import refuse
+from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, build
 from calflow.observations import Observation, observations
@@ -127,16 +128,23 @@ def registered(
 ) -> tuple[Robot, tuple[Observation, ...]]:
     """Return the nominal robot with base and tool placed by the training data, and the observations placed by its points.
 
-    A robot whose base and markers are known, or that is not observed from outside, keeps its base and tool.
+    A robot that is not observed from outside stands in the measuring frame's origin.
     """
     check_one_tool(train)
     if any(observation.from_outside for observation in observed):
         robot = _located(robot, observed, train)
     else:
         robot, observed = replace(robot, base=Base(fixed=True)), tuple(each.beside_base() for each in observed)
+        if max(marker_places(robot)) >= 0 and all(each.units[0] == METRE for each in observed):
+            robot = _placed(robot, train, _objects_placed(robot, observed, train))
+    return robot, _objects_placed(robot, observed, train)
+
+
+def _objects_placed(robot: Robot, observed: tuple[Observation, ...], train: Measurements) -> tuple[Observation, ...]:
+    """Return the observations with their objects where the robot's points put them."""
     nominal = build(robot, (), train.given)
     series = [train.only(train.of_series(k)) for k in range(len(observed))]
-    return robot, tuple(
+    return tuple(
         registered_on(observation, rows, nominal, nominal.nominal) if len(rows) else observation
         for observation, rows in zip(observed, series, strict=True)
     )
@@ -186,9 +194,14 @@ def _located(robot: Robot, observed: tuple[Observation, ...], train: Measurement
         tool = ((turn * seen).inv() * Rotation.from_matrix(train.rotation[oriented])).mean()
         placed = replace(placed, tool_rotation=_angles(_tool(placed) * tool))
 
+    return _placed(placed, train)
+
+
+def _placed(placed: Robot, train: Measurements, observed: tuple[Observation, ...] = ()) -> Robot:
+    """Return a roughly placed robot with base and tool refined by a robust fit to the training rows."""
     # Priors stated by name concern errors about the registered place, and do not apply here.
     bare = replace(placed, expected=tuple(expected for expected in placed.expected if not expected.name))
-    model = Model(bare, (PlacementErrors(bare),), train.given)
+    model = Model(bare, (PlacementErrors(bare),), train.given, observed)
     rough = np.full(len(train), NOMINAL_ERROR)
     noise = Noise(
         rough, tuple[Source, ...]("estimated" for _ in train.series),
@@ -200,7 +213,7 @@ def _located(robot: Robot, observed: tuple[Observation, ...], train: Measurement
     moved = with_placement_errors(
         placed, *(np.array(ca.evalf(errors)) for errors in (dims.base, dims.tool_rotation, dims.markers))
     )
-    return replace(moved, expected=about_places(robot, moved))
+    return replace(moved, expected=about_places(placed, moved))
 
 
 def in_measuring_frame(observed: tuple[Observation, ...], data: Measurements) -> np.ndarray:

@@ -586,7 +586,11 @@ def unseen_compliance(outcome: RunOutcome) -> Iterator[Advice]:
         joints = listed([part_words(compliant[name]) for name in unseen], 8)
         sentence = f"For the compliance of {joints}, which the measured loads do not twist, apply a known side force."
         yield Advice(
-            3, sentence, WITH_MORE, poses=REACHING, reason="Under the measured loads an unknown compliance does no harm."
+            3,
+            sentence,
+            WITH_MORE,
+            poses=REACHING,
+            reason="Under the measured loads an unknown compliance does no harm.",
         )
 
 
