@@ -7,9 +7,12 @@ from collections.abc import Callable
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.spatial.transform import Rotation
 
 from calflow.faults import examined
 from calflow.files.problems import InputError
+from calflow.measurements.measurements import Measurements
+from calflow.robot.frames import angles
 from observations.photographed import PANDA, UR5E, Arm, Photographs, board, frame, photographed
 from observations.test_camera import study
 
@@ -114,3 +117,19 @@ def test_a_board_that_was_moved_is_told(tmp_path):
     assert (told.cause, told.action) == ("device-moved", "unsettled")
     assert "from line 182 (image 16.png) on" in told.statement
     assert "(column 'target')" in told.statement
+
+
+@pytest.mark.parametrize("made", ["camera in hand"], indirect=True)
+def test_a_stated_place_of_the_camera_is_used_and_one_that_is_far_off_is_told(made, tmp_path):
+    """Fails if a lens that nobody stated is not found where the camera's place is, or a bracket's other drawing blames all else."""
+    seen, name, in_hand = made
+    turn = angles(Rotation.from_matrix(seen.camera[:3, :3])).tolist()
+
+    def stated(off: float) -> Measurements:
+        origin = (1e3 * seen.camera[:3, 3] + [0, 0, off]).tolist()
+        more = f"\ncamera_origin_mm = {origin}\ncamera_rotation_rad = {turn}\n"
+        return study(tmp_path, seen, name, in_hand, more).measurements()
+
+    assert examined(stated(0.0))[1] == ()
+    with pytest.raises(InputError, match=r"the camera is not where .* camera_origin_mm = \[(29|30|31)\."):
+        examined(stated(300.0))

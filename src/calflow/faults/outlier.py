@@ -19,6 +19,7 @@ from calflow.estimation.fit import Fit
 from calflow.estimation.leverage import Studentised
 from calflow.estimation.registration import in_measuring_frame
 from calflow.faults.base import MISNAMED, Correction, Fault, correct, fault, faulty_rows
+from calflow.faults.camera_elsewhere import check_cameras
 from calflow.faults.marker_elsewhere import GeometryFit, check_markers
 from calflow.faults.mistake import LENGTH_UNITS
 from calflow.faults.reference import Reference
@@ -146,8 +147,9 @@ def gross_rows(data: Measurements, which: np.ndarray) -> tuple[Fault, ...]:
     """Return the outliers among some rows (n_rows,) by a robust fit of all training rows, one fault per series.
 
     Raises:
-        InputError: no such robot explains images, or a marker is far from where it is stated.
+        InputError: no such robot explains images, or a marker, camera or target is far from where it is stated.
     """
+    check_cameras(data)
     if (fitted := GeometryFit.of(data)) is None:
         return ()
     check_markers(data, fitted)

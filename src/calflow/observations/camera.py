@@ -330,18 +330,19 @@ class Camera(Observation):
         which = self.reported(table)
         of_camera, of_target = self._which(which)
         image, point = which[:2].T, which[2:5].T
-        cameras, targets = list(self.cameras), list(self.targets)
+        cameras, targets, sighted = list(self.cameras), list(self.targets), set[int]()
         placed = {("camera", k) for k in range(len(cameras)) if self.series.setting("camera_origin") is not None}
         placed |= {("target", k) for k in range(len(targets)) if self.series.setting("target_origin") is not None}
         for c, t in sorted({*zip(of_camera.tolist(), of_target.tolist(), strict=True)}):
             rows = np.flatnonzero((of_camera == c) & (of_target == t))
             kept = spaced(np.unique(images[rows]), IMAGES)
             views = [rows[images[rows] == image_number] for image_number in kept]
-            if ("camera", c) not in placed:
+            if c not in sighted:
                 cameras[c] = self._with_lens(c, views, point, image).cameras[c]
             at, seen = _sighted(replace(self, cameras=tuple(cameras)).lens(c), views, point, image)
             if not seen:
                 continue
+            sighted.add(c)
             x, y = _places(
                 seen,
                 hand[at],
