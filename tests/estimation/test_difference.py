@@ -7,8 +7,10 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import kstest
 
+from calflow.effects.joint_error_map import JointErrorMap
 from calflow.estimation.difference import Difference
 from calflow.model import build
+from calflow.runs.between_runs import _curves
 from estimation.data import calibration
 from robots import ASKEW, ur10
 
@@ -68,6 +70,18 @@ def test_figures_of_a_joint_are_compared_where_both_models_have_the_same_causes_
     curved = calibration(model, np.zeros(len(sd)), np.diag(sd**2), sigma=1e-5)
     assert {plain.model.parameters[k].joint for k in Difference.of(plain, curved).first} == {0}
     assert {model.parameters[k].joint for k in Difference.of(curved, curved).first} == set(range(7))
+
+
+def test_a_curve_of_few_figures_is_one_too():
+    """Fails if figures of a short travel's curve, or of a slide's, are each told to differ."""
+    robot = replace(ur10(), base=replace(ASKEW, known=False))
+    curve = JointErrorMap(robot, (0.0, 0.1) + 4 * (0.0,), (0.0, 1.1) + 4 * (0.0,), 0.5)
+    model = build(robot, ("geometry", curve, "periodic-joint-error"))
+    n, sd = len(model.columns(model.effects[1])), model.prior_sd
+    assert 1 < n < 20
+    one = calibration(model, np.zeros(len(sd)), np.diag(sd**2), sigma=1e-5)
+    named = _curves(one, Difference.of(one, one))
+    assert (set(named), len([name for name in named if name])) == ({"", "angle error curve of joint 2"}, n)
 
 
 def test_a_curve_is_one_test():

@@ -15,7 +15,7 @@ import numpy as np
 import scipy
 
 from calflow.effects import Effect
-from calflow.estimation.calibrated_model import MANY, CalibratedModel
+from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.difference import Difference, LikelihoodEstimate, comparable
 from calflow.estimation.error_model import root_of
 from calflow.files.deferred import pd
@@ -296,7 +296,7 @@ def _shared(runs: Sequence[CalibratedModel]) -> list[np.ndarray]:
     Those of a curve are not among them: alone they mean nothing, and without their priors nothing beside them is determined.
     """
     first = runs[0]
-    curves = [cause for cause in first.model.causes if len(first.model.columns(cause)) > MANY]
+    curves = [effect for effect in first.model.effects if effect.is_curve]
     parts: tuple[Observation | Effect, ...] = (*first.model.observations, *curves)
     others = {int(k) for part in parts for k in first.model.columns(part)}
     pairs = [dict(comparable(first, run)) for run in runs]

@@ -52,6 +52,7 @@ class AxisStraightness(Effect):
         "rms",
     )
     needs = ("slide",)
+    is_curve = True
     told_by = "move the carriage alone over all its travel, and measure closely on the way"
 
     @classmethod

@@ -344,6 +344,11 @@ class Effect(ABC):
         """Inputs (`time`, `order`) of which it is an arbitrary smooth function, like any unexplained error in them."""
         return ()
 
+    @property
+    def is_curve(self) -> bool:
+        """Whether its figures are amplitudes of a smooth curve's waves, which mean nothing alone."""
+        return bool(self.smooth_in)
+
     @classmethod
     def named_in(cls) -> tuple[str, ...]:
         """Return the inputs of which the members of its family are curves: errors in them are named."""

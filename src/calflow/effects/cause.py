@@ -33,7 +33,7 @@ class Cause(ActingEffect):
     part: str
     scale: float = field(default=1.0, compare=False)
 
-    variant, family, alike, needs = map(_of_its_effect, ("variant", "family", "alike", "needs"))
+    variant, family, alike, needs, is_curve = map(_of_its_effect, ("variant", "family", "alike", "needs", "is_curve"))
 
     @property
     def id(self) -> str:  # type: ignore[override]

@@ -43,6 +43,7 @@ class JointErrorMap(JointError):
         "angle error curve", "the angle is off by a smooth curve over the joint's travel, of no single order", "rms"
     )
     family = TRANSMISSION
+    is_curve = True
     told_by = JOINT_ALONE
     unnamed = ("low", "high")
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations, pairwise
@@ -26,7 +25,6 @@ from calflow.diagnosis.fitted import Fitted
 from calflow.effects.cause import Cause
 from calflow.effects.wording import place_name
 from calflow.estimation.accuracy import leading_errors
-from calflow.estimation.calibrated_model import MANY
 from calflow.estimation.difference import Difference
 from calflow.estimation.noise import averaged, repeats_scatter
 from calflow.files.problems import InputError, Problem, refuse, refuse_any
@@ -122,9 +120,9 @@ def _compared(
 
 def _curves(first: Calibration, difference: Difference) -> list[str]:
     """Return the name of the curve that each shared parameter is a figure of; empty: none."""
-    number = Counter(parameter.identity[:3] for parameter in first.model.parameters)
-    shared = [first.model.parameters[k] for k in difference.first]
-    return [place_name(p.effect, p.joint, p.part) if number[p.identity[:3]] > MANY else "" for p in shared]
+    shared = [(k, first.model.parameters[k]) for k in difference.first]
+    waves = {int(k) for effect in first.model.effects if effect.is_curve for k in first.model.columns(effect)}
+    return [place_name(p.effect, p.joint, p.part) if k in waves else "" for k, p in shared]
 
 
 def same_robot(first: Calibration, second: Calibration) -> Literal["the same", "another file", "another one"]:
