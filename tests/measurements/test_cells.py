@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 
 from calflow.files.problems import InputError
+from calflow.measurements.cells import Dialect, read_cells
 from calflow.measurements.measurements import Measurements
 from calflow.study import load_study
 from conftest import Folder
@@ -154,3 +155,11 @@ def test_a_dialect_that_does_not_fit_is_refused(small, source, expected):
     lines = "\n".join(f"{key} = {value}" for key, value in source.items())
     small.edit("study.toml", ('file = "measurements.csv"', lines))
     assert expected in "\n".join(small.refused("check"))
+
+
+def test_the_line_after_a_title_is_proposed_as_header_also_with_another_separator(tmp_path):
+    """Fails if decimal commas in the first row of figures make it the header line that is proposed."""
+    path = tmp_path / "german.csv"
+    path.write_text("Report\na;b\n1,5;2,5\n")
+    with pytest.raises(InputError, match="say header_line = 2 "):
+        read_cells(path, Dialect())

@@ -439,7 +439,7 @@ def test_a_reader_is_not_told_that_nothing_matters_beside_what_was_found() -> No
     ("cause", "detail", "name"),
     [
         ("session-frame", "from session B on, shifted", "frame of a session (from session B on, shifted)"),
-        ("frame-drift", "wandering", "drift of the measuring device"),
+        ("frame-drift", "wandering", "drift of the measuring set-up"),
     ],
 )
 def test_a_name_has_the_detail_that_dates_it(cause: str, detail: str, name: str) -> None:

@@ -99,10 +99,10 @@ def test_a_named_cause_is_told_with_place_size_sureness_and_gain(small: Context)
 def test_a_cause_with_several_parameters_is_told(small: Context) -> None:
     """Fails if a cause of the device, or one with more than one parameter, cannot be written."""
     first, section = told(with_diagnosis(small, STEP, BACKLASH))
-    assert "1. Step of the measuring device (after row 12 in measuring order)" in section
+    assert "1. Step of the measuring set-up (after row 12 in measuring order)" in section
     assert "step 0.3000 ± 0.0090 mm" in section
     assert "2. Backlash of joint 2" in section
-    assert "Step of the measuring device (after row 12 in measuring order):" in first
+    assert "Step of the measuring set-up (after row 12 in measuring order):" in first
     assert "Backlash of joint 2:" in first
 
 
@@ -201,7 +201,7 @@ def test_a_cause_without_gain_is_not_credited(small: Context, monkeypatch: pytes
         ("Backlash of joint 2:", "100.0 ± 4.0 µrad; it takes 0.010 mm off the mean error."),
         (
             "In the model, without a gain at held-out poses:",
-            "step of the measuring device (after row 12 in measuring order).",
+            "step of the measuring set-up (after row 12 in measuring order).",
         ),
         ("In the model, with a loss at held-out poses:", "eccentricity of joint 1 (0.020 mm)."),
     ]
@@ -370,8 +370,8 @@ def test_causes_of_the_same_name_are_told_by_their_detail(small: Context) -> Non
     """Fails if two steps of the device, at different moments, read as one."""
     results = with_diagnosis(small, STEP, replace(STEP, detail="after row 20 in measuring order")).results
     assert [head for head, _ in lacked(RunOutcome(results))] == [
-        "Step of the measuring device (after row 12 in measuring order):",
-        "Step of the measuring device (after row 20 in measuring order):",
+        "Step of the measuring set-up (after row 12 in measuring order):",
+        "Step of the measuring set-up (after row 20 in measuring order):",
     ]
 
 
@@ -444,7 +444,7 @@ def test_a_step_is_told_with_its_moment_though_a_drift_may_look_like_it() -> Non
     """Fails if a user is not told after which rows to look for what happened, where steps and drifts are one family."""
     steps = Finding(status="one_of", cause="frame-step", detail="after row 75", numbers=(1, 2), statement="")
     assert steps.names == (
-        "drift of the measuring device or the robot's foot (best described as step of the measuring device after row 75)"
+        "drift of the measuring set-up or the robot's foot (best described as step of the measuring set-up after row 75)"
     )
 
 
@@ -472,7 +472,7 @@ def test_a_family_is_told_by_those_of_it_that_the_data_could_have() -> None:
     assert fitting_kin(step, rows) == ["stand-growth", "frame-drift"]
     told = name_certainty(step, ["stand-growth", "frame-drift"])
     assert (
-        "Growth of the device's stand or the robot's foot and drift of the measuring device would fit as well." in told
+        "Growth of the device's stand or the robot's foot and drift of the measuring set-up would fit as well." in told
     )
 
 

@@ -374,7 +374,7 @@ def _notes(names: Sequence[str], runs: Sequence[CalibratedModel], parameters: Se
     left = [name for name in names_known if name not in shared]
     if left:
         yield (
-            f"not compared: {', '.join(left[:12])}{f' and {len(left) - 12} more' if len(left) > 12 else ''}; they are not of all "
-            "runs, of joints where the runs have different causes (state the same in the effects of every study), of a curve, of "
-            "the measuring device, at a bound, or count from where each run placed base or tool"
+            f"not compared: {', '.join(left[:12])}{f' and {len(left) - 12} more' if len(left) > 12 else ''}. Each is missing in a "
+            "run, at a bound, a figure of a curve or of the measuring device, counted from where each run placed base or tool, or "
+            "of a joint with other causes in another run (state the same in the effects of every study)"
         )

@@ -159,7 +159,7 @@ def _means_untested(rival: Rival, data: Measurements) -> str:
         return ANY_MEANS
     asks = " and ".join(NEEDS[need].plain for need in kind.asks(data.robot, data))
     lacking = asks or kind.lacking(data.robot, data)
-    return f"tell them apart by {lacking}" if lacking else kind.told_by or ANY_MEANS
+    return f"to tell them apart, note {lacking}" if lacking else kind.told_by or ANY_MEANS
 
 
 def _separation(

@@ -74,7 +74,7 @@ def lacking_causes(fitted: Fitted, catalogue: Catalogue) -> tuple[LackingCause, 
 
 
 def of_robot(errors: ErrorModel) -> ErrorModel:
-    """Return the errors that move the tool, unlike a drift of the measuring device."""
+    """Return the errors that move the tool, unlike a drift of the measuring set-up."""
     return errors.only(lambda function: not (isinstance(function, Wandering) and function.quantity.of_measuring()))
 
 

@@ -30,12 +30,12 @@ WINDUP_SD, WINDUP_BOUND = 10e-3, 50e-3  # rad (prismatic: m): wind-up of a joint
 NOTHING = 1e-300  # keeps the derivative of a norm finite at zero
 TRANSMISSION = "transmission error"
 # A step, also between sessions, a steady drift or a random one, of a camera's lens, too. A single device does not show which moved.
-OF_THE_FRAME = "drift of the measuring device or the robot's foot"
+OF_THE_FRAME = "drift of the measuring set-up or the robot's foot"
 LOST_MOTION = "lost motion"
 NONLINEAR = "nonlinear compliance"
 STRUCTURE = "structural compliance"
 OF_THE_TOOL = "compliance of the tool"
-IN_TIME = ("time", "order")  # the inputs on which a drift of the measuring device depends
+IN_TIME = ("time", "order")  # the inputs on which a drift of the measuring set-up depends
 ITS_ANGLE, ITS_TORQUE = "q", "tau"  # of the cause's own joint
 # Families of curves of one input of the same joint or device: the sum of two members is another curve, so that data do not show
 # whether one or two causes act.

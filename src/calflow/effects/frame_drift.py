@@ -44,8 +44,8 @@ class FrameDrift(Effect):
     pauses: tuple[tuple[float, float], ...] = ()
 
     id = "frame-drift"
-    title = "drift of the measuring device"
-    words = Words("drift of the measuring device", "the device wanders while measuring", "drift")
+    title = "drift of the measuring set-up"
+    words = Words("drift of the measuring set-up", "the device, or what is touched, wanders while measuring", "drift")
     whole = "device"
     family = OF_THE_FRAME
     told_by = "measure points fixed to the floor from time to time"

@@ -31,8 +31,10 @@ class FrameStep(Rigid, PointStep):
     of: str = ""
 
     id = "frame-step"
-    title = "step of the measuring device"
-    words = Words("step of the measuring device", "the device, or the robot's foot, was moved once", "step")
+    title = "step of the measuring set-up"
+    words = Words(
+        "step of the measuring set-up", "the device, what is touched or the robot's foot was moved once", "step"
+    )
     whole = "device"
     family = OF_THE_FRAME
     imaged = False

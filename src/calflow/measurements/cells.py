@@ -204,7 +204,7 @@ def _checked_shape(text: str, path: Path, dialect: Dialect, named: Collection[st
     alone = next(iter(filter(None, names)), "") if sum(map(bool, names)) == 1 and not dialect.header else ""
     least = max((k for k, name in enumerate(names, start=1) if name in (named or names)), default=0)
     for line, cells in enumerate(lines, start=dialect.header_line + 1):
-        if alone and sum(bool(cell.strip()) for cell in cells) > 1:
+        if alone and (sum(bool(cell.strip()) for cell in cells) > 1 or _other_separator(cells)):
             raise refuse(
                 f"expected the header line, found '{truncated(alone)}': leave out what precedes it, or say header_line = {line} "
                 "in the study's [measurements]", path, dialect.header_line,
@@ -276,10 +276,14 @@ def _duplicate_column(name: str, names: Sequence[str], path: Path, dialect: Dial
     )
 
 
+def _other_separator(cells: Sequence[str]) -> str:
+    """Return the separator that a line may have been written with which is read as a single cell; empty: none."""
+    return next((sign for sign in ";\t|," if len(cells) == 1 and sign in cells[0]), "")
+
+
 def _check_separator(path: Path, header: str, dialect: Dialect) -> None:
     """Refuse a header of a single cell that contains another separator."""
-    other = next((sign for sign in ";\t|," if sign in header), None)
-    if other:
+    if other := _other_separator([header]):
         raise refuse(f"has no {dialect.separator!r} in its header line, but {other!r}: say separator = {json.dumps(other)} "
                      "in the study's [measurements] (and decimal = \",\" where numbers have a decimal comma); new rows for a "
                      "run must be written as its study's measurements are, and 'calflow import' writes an instrument's so",

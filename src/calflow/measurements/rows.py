@@ -38,6 +38,7 @@ FOREIGN = (
     'if columns have names of their own, say q1_deg = "its name" … under the study\'s [measurements.columns], or let '
     "'calflow import' find out which is which"
 )
+OWN_NAMES = "rows to predict have calflow's names of columns, whatever the study's measurements call theirs"
 LABELS = ("pose", "repeat", "marker", "payload", "session", "split")
 AMBIENT = (213.15, 423.15)  # K: temperatures at which robots are measured
 BLOCKS = ("payload", "session")  # strata within which poses are held out and resampled
@@ -213,7 +214,7 @@ def check_header(columns: Sequence[ReadColumn], layout: Layout, robot: Robot, co
         missing += _missing(columns_of, marker, layout, robot, conditions_only)
     foreign = any(column.name not in allowed and not _near(column, allowed) for column in wrong[:MOST_TOLD])
     if foreign and missing and not (layout.columns or layout.markers):
-        missing.append(FOREIGN)
+        missing.append(OWN_NAMES if conditions_only else FOREIGN)
     names = {column.name: column for column in columns}
     twice = [
         f"{names[name]}: the study's [measurements] states {name} too; expected one of them"
