@@ -145,6 +145,7 @@ class ParameterInRun:
     told: bool = column(
         "whether the measurements of every run determine it better than the prior; else its changes are not tested"
     )
+    meaning: str = column("what it is, in words")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -272,7 +273,7 @@ def history(
         in_order,
         tuple(
             ParameterInRun(run=name, parameter=parameter.name, unit=parameter.unit, told=bool(told[j]),
-                           value=parameter.figure + float(run.value[j]), sd=float(run.sd[j]))
+                           value=parameter.figure + float(run.value[j]), sd=float(run.sd[j]), meaning=parameter.meaning)
             for name, run in zip(names, alone, strict=True) for j, parameter in enumerate(parameters)
         ),
         tuple(_moved(step, parameters[step.parameter], names) for step in steps),

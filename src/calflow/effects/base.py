@@ -70,7 +70,6 @@ def _recorded(words: str, plain: str, condition: str) -> Need:
 
 NEEDS = {  # the least effort first
     "order": _recorded("rows in measuring order", "in which order poses are measured", "order"),
-    "session": _recorded("a column session", "in which session each pose is measured", "session"),
     "approach": _recorded(
         "columns approach1 … (or in_order = true in the study's [measurements])",
         "the side from which each joint comes to a pose",
@@ -87,6 +86,7 @@ NEEDS = {  # the least effort first
     "range": _recorded(
         "the device's place, tracker_mm in the study's [measurements]", "where the instrument stands", "range"
     ),
+    "session": _recorded("a column session", "in which session each pose is measured", "session"),
     "travel": _recorded(
         "columns travel1_deg (or _rad) … (or, without approach columns, in_order = true in the study's [measurements])",
         "how far each joint moves to get to a pose",

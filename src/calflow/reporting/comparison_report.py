@@ -52,7 +52,7 @@ def _pair(pair: RunPair, comparison: Comparison) -> str:
     shared = [row for row in comparison.parameters if (row.first, row.second) == (pair.first, pair.second)]
     differ = list(dict.fromkeys(row.curve or row.meaning or row.parameter for row in shared if row.significant))
     verdict = "differ by more than both leave open" if pair.p < DIFFERENT else AGREE[pair.robot]
-    alone = f"; each for itself {listed(differ, 6)}" if differ else ""
+    alone = f"; alone, {listed(differ, 6)} {'differs' if len(differ) == 1 else 'differ'}" if differ else ""
     test = f"chi² {pair.chi2:.3g} of {pair.freedom}, chance {pair.p:.2g}"
     return (
         f"{other}{pair.first} and {pair.second}: {plural(pair.shared, 'shared parameter')} {verdict} ({test}){alone}."
@@ -83,7 +83,7 @@ def _data(comparison: Comparison) -> Table:
          mm(run.discrepancy_mm))
         for run in comparison.data
     ]  # fmt: skip
-    return Table(("run", "measurements", "poses", "held out", "noise [mm]", "beyond it [mm]"), rows, "llrrll")
+    return Table(("run", "measurements", "poses", "held out", "noise [mm]", "beyond it [mm]"), rows, "llrrlr")
 
 
 def _accuracy(comparison: Comparison) -> Table:

@@ -131,7 +131,10 @@ def _course(history: History) -> Figure:
         for begin, end in zip([0, *steps], [*steps, len(runs)], strict=True):
             mean = np.average(value[begin:end], weights=sd[begin:end] ** -2.0)
             axes.plot([begin - 0.3, end - 0.7], [mean, mean], color=ACCENT)
-        axes.set(title=name, ylabel=f"change [{unit}]", xlim=(-0.5, len(runs) - 0.5))
+        symbol, meaning = name.rsplit(".", 1)[-1], courses[name][0].meaning
+        axes.set(
+            title=f"{meaning} ({symbol})" if meaning else name, ylabel=f"change [{unit}]", xlim=(-0.5, len(runs) - 0.5)
+        )
         axes.set_xticks(at, runs, rotation=90)
         if k + ACROSS >= len(names):
             axes.tick_params(labelbottom=True)

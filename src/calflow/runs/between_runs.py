@@ -244,13 +244,11 @@ def with_all_causes(runs: Sequence[Calibration], names: Sequence[str]) -> tuple[
         try:
             models.append(_refitted(run, wanted))
         except InputError as error:
-            missing = f"{name} cannot be fitted again with the causes of all runs: {error.problems[0]}"
+            missing = f"with the causes of all runs, {name} cannot be fitted again: {error.problems[0]}"
             return runs, [f"{missing}. Joints with different causes are not compared"]
         changed.append(name)
     words = listed([place_name(cause.id, cause.joint, cause.part) for cause in every.values()], MOST_NAMED)
-    told = (
-        f"{listed(changed)} {'was' if len(changed) == 1 else 'were'} fitted again with the causes of all runs: {words}"
-    )
+    told = f"with the causes of all runs ({words}), {listed(changed)} {'was' if len(changed) == 1 else 'were'} fitted again"
     return models, [told] if changed else []
 
 
