@@ -283,7 +283,7 @@ def worth_section(material: Material) -> list[Block]:
         for row in rows
     ]  # fmt: skip
     head = ["addition", "poses", "points", "tool sd [mm]", "lower by", "parameters that gain most (sd lower by)"]
-    return [Paragraph(ADDITIONS, keep=True), Table(head, cells, "lrrrrl", wide=5, size=8.4)]
+    return [Paragraph(ADDITIONS, keep=True), Table(head, cells, "lrrrrl", wide=0, size=8.4)]
 
 
 @section(
