@@ -107,6 +107,12 @@ def test_a_wrong_call_is_explained(arguments):
     assert "Error: " in answer.err
 
 
+def test_a_stages_name_is_told_with_the_command_that_runs_it():
+    """Fails if who takes `diagnose`, of which every page speaks, for a command is told that there is none."""
+    answer = in_process("diagnose", "my-robot")
+    assert (answer.code, "run STUDY --stage diagnose" in answer.err) == (2, True)
+
+
 @pytest.mark.parametrize(("asked", "threads"), [(None, "1"), ("3", "3")])
 def test_the_program_computes_on_one_thread_unless_asked(asked, threads, monkeypatch):
     """Fails if linear algebra is shared among threads that wait for each other, or what a user asks for is not taken."""

@@ -40,7 +40,22 @@ STATION = click.option(
 AGAIN = 0.1  # s after which a swallowed interruption is repeated
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+class _Commands(click.Group):
+    """The commands; a stage's name in place of one is told with the command that runs it."""
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Return the command's name, the command and its arguments."""
+        if not self.get_command(ctx, args[0]):
+            from calflow.stages.catalogue import STAGES  # takes a second, which commands spare
+
+            if args[0] in STAGES:
+                ctx.fail(f"{args[0]} is a stage: calflow run STUDY --stage {args[0]}")
+        return super().resolve_command(ctx, args)
+
+
+@click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="calflow")
 def cli() -> None:
     """Calibrate robots: from measured positions to a model that can be trusted."""
