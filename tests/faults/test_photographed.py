@@ -9,6 +9,8 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
+from calflow.estimation.accuracy import distances, leading_errors
+from calflow.estimation.registration import registered_model
 from calflow.faults import examined
 from calflow.files.problems import InputError
 from calflow.measurements.measurements import Measurements
@@ -125,11 +127,15 @@ def test_a_stated_place_of_the_camera_is_used_and_one_that_is_far_off_is_told(ma
     seen, name, in_hand = made
     turn = angles(Rotation.from_matrix(seen.camera[:3, :3])).tolist()
 
-    def stated(off: float) -> Measurements:
+    def stated(off: float, sd: str = "") -> Measurements:
         origin = (1e3 * seen.camera[:3, 3] + [0, 0, off]).tolist()
-        more = f"\ncamera_origin_mm = {origin}\ncamera_rotation_rad = {turn}\n"
+        more = f"\ncamera_origin_mm = {origin}\ncamera_rotation_rad = {turn}\n{sd}"
         return study(tmp_path, seen, name, in_hand, more).measurements()
 
     assert examined(stated(0.0))[1] == ()
+    model, here = registered_model(stated(0.0, "camera_origin_sd_mm = 5\ncamera_rotation_sd_deg = 1\n"))
+    assert (
+        np.nanmedian(distances(leading_errors(model, model.nominal, here))) < 10.0
+    )  # 54 px with its place fitted, and put back
     with pytest.raises(InputError, match=r"the camera is not where .* camera_origin_mm = \[(29|30|31)\."):
         examined(stated(300.0))

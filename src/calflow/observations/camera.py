@@ -30,6 +30,7 @@ WORLD, TOOL = "world", "tool"  # what is no link that a robot names
 FOCAL_SD, CENTRE_SD = 0.2, 0.1  # of the focal length: of a lens that nobody knows
 DISTORTION_SD = {"k": 0.3, "p": 0.02}  # by the first letter of a coefficient
 LENS_SETTINGS = ("focal", "centre", "distortion")
+PLACE_SETTINGS = tuple(f"{what}_{figure}" for what in ("camera", "target") for figure in ("origin", "rotation"))
 STATED_LENS = 0.02  # of those: what a lens is usually off from what is stated, where nobody says by how much
 USUAL_FOCAL = 1.2  # of an image's width
 FEWEST_POSES = 3  # of which hand-eye calibration tells anything
@@ -388,8 +389,8 @@ class Camera(Observation):
 
     def _settled(self, table: pd.DataFrame, hand: np.ndarray, base: np.ndarray) -> Self:
         """The observation with all that is not stated where a robust fit of the images, some of them, has it."""
-        exact = tuple((f"{name}_sd", 0.0) for name in LENS_SETTINGS)
-        fixed = replace(self, series=replace(self.series, settings=(*self.series.settings, *exact)))
+        exact = tuple((f"{name}_sd", 0.0) for name in (*LENS_SETTINGS, *PLACE_SETTINGS))
+        fixed = replace(self, series=replace(self.series, settings=(*self.series.settings, *exact)), near=False)
         images = image_numbers(table)
         some = np.flatnonzero(np.isin(images, spaced(np.unique(images), IMAGES)))
         some = some[:: max(1, len(some) // ROWS)]
@@ -415,7 +416,7 @@ class Camera(Observation):
                 missed, correction, slope, loss="soft_l1", f_scale=2 * scale, max_nfev=SETTLING
             )
             correction = fit.x
-        return replace(fixed._by(sd * correction), series=self.series)
+        return replace(fixed._by(sd * correction), series=self.series, near=self.near)
 
     def _of_rows(
         self, of: Callable[[ca.SX, Seen, ca.SX], ca.SX], hand: np.ndarray, base: np.ndarray, reported: np.ndarray
@@ -434,26 +435,20 @@ class Camera(Observation):
         return lambda values: np.array(function(ca.DM(values), *rows))
 
     def _by(self, p: np.ndarray) -> Self:
-        """The observation about p: places that are stated stay, with their errors left to the fit."""
+        """The observation about p."""
         values = [np.array(ca.DM(figures)).ravel() for figures in _spread(self._described, ca.SX(p))]
         n = len(self.cameras)
         cameras = [
             replace(
-                eye,
-                place=self._moved_place("camera", eye.place, figures[:6]),
-                lens=tuple((np.array(eye.lens) + figures[6:]).tolist()),
+                eye, place=_moved_by(eye.place, figures[:6]), lens=tuple((np.array(eye.lens) + figures[6:]).tolist())
             )
             for eye, figures in zip(self.cameras, values[:n], strict=True)
         ]
         targets = [
-            replace(target, place=self._moved_place("target", target.place, figures[:6]))
+            replace(target, place=_moved_by(target.place, figures[:6]))
             for target, figures in zip(self.targets, values[n:], strict=True)
         ]
         return replace(self, cameras=tuple(cameras), targets=tuple(targets))
-
-    def _moved_place(self, what: str, place: Six, by: np.ndarray) -> Six:
-        kept = [self.series.setting(f"{what}_{kind}") is not None for kind in ("origin", "rotation") for _ in range(3)]
-        return _six(placement_matrix(place) @ placement_matrix(np.where(kept, 0.0, by)))
 
     def _part_of(self, thing: Eye | Board) -> str:
         """Return the name of the parameters' part of a camera or target."""
@@ -665,6 +660,10 @@ def _six(place: np.ndarray) -> Six:
     x, y, z = map(float, place[:3, 3])
     rx, ry, rz = map(float, angles(Rotation.from_matrix(place[:3, :3])))
     return x, y, z, rx, ry, rz
+
+
+def _moved_by(place: Six, by: np.ndarray) -> Six:
+    return _six(placement_matrix(place) @ placement_matrix(by))
 
 
 def _moved(place: Six, by: ca.SX) -> ca.SX:
