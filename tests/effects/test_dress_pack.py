@@ -86,10 +86,32 @@ def test_a_constant_pull_is_met_by_refinement(benches: dict[str, Bench], name: s
     assert float(ca.DM(best.size(ca.DM(p), own))) == pytest.approx(100, rel=0.05)
 
 
+@pytest.mark.parametrize(("slack", "behind"), [(0.5, -0.2), (0.75, 0.1)])
+def test_a_hose_that_is_taut_far_out_is_met_by_refinement(
+    benches: dict[str, Bench], slack: float, behind: float
+) -> None:
+    """Breaks if a hose that pulls beyond its length alone is no form of it, or its length and place are out of reach."""
+    bench = benches["serial"]
+    forms = DressPack.variants(bench.robot, bench.data)
+    reach = forms[0]._length
+    place = np.array([behind * reach, 0.0, 1.0])
+
+    def pull(end: np.ndarray) -> np.ndarray:
+        away = np.linalg.norm(place - end, axis=1)[:, None]
+        return 500.0 * np.maximum(1 - slack * reach / away, 0) * (place - end)
+
+    left = lambda form: fitted(bench, form, 4, pull)[1]  # noqa: E731
+    best = min((form for form in forms if form.slack), key=left)
+    for _ in range(4):
+        best = min((best, *best.finer(bench.data)), key=left)
+    assert left(best) < 0.25 * min(left(form) for form in forms if not form.slack)
+
+
 def test_heights_between_those_tried_are_reached(benches: dict[str, Bench]) -> None:
-    """Breaks if a height between two that are tried is out of reach, or a spring has one."""
+    """Breaks if a height between two that are tried is out of reach, or a spring that is never slack has one."""
     data = benches["serial"].data
-    spring, *pulls = DressPack.variants(benches["serial"].robot, data)
+    spring, *others = DressPack.variants(benches["serial"].robot, data)
+    pulls = [form for form in others if not form.slack]
     assert spring.finer(data) == ()
     reached = np.log2(sorted(form.height for one in pulls for form in (one, *one.finer(data)) if not form.x))
     assert np.diff(reached).max() < 0.26

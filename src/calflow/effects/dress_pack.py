@@ -21,20 +21,26 @@ from calflow.robot.robot import Robot
 # Times the force at the arm's length that loads joint 2 as rated: about a tool's weight, of which the pull of its hoses is a part.
 SD, BOUND = 0.1, 1.0
 HEIGHTS = (0.4, 0.8, 1.6)  # of the hook h above joint 2, in lengths of the arm
-SLACK = 0.1  # lengths of the arm from the hook within which a pull turns about: a hose does not end in a point
-ASIDE = (-0.2, -0.1, -0.05, 0.05, 0.1, 0.2)  # lengths of the arm, tried when refining the best variant
+SLACK = 0.6  # length of a hose that is taut beyond it alone, in lengths of the arm
+NEAR = 0.1  # lengths of the arm from the hook within which a pull turns about: a hose does not end in a point
+STEPS = 2 ** (
+    np.array([-6, -4, -2, -1, 1, 2, 4, 6]) / 8
+)  # times a height or length, tried when refining the best variant
+ASIDE = (-0.2, -0.1, -0.05, 0.05, 0.1, 0.2)  # lengths of the arm, tried likewise
 POSES = 64  # over which the size of a pull is its root mean square
 
 
 @dataclass(frozen=True)
 class DressPack(Effect):
-    """Force (s (h - o) + L f) / l on a link's end o, turned into torques; l² = |h - o|² + (L / 10)², of a spring l = L.
+    """Force (s (h - o) + L f) / l on a link's end o, turned into torques; l² = |h - o|² + (L / 10)² = d², of a spring l = L.
 
-    The hook h is on joint 1's axis at joint 2's height, of a constant pull `height`, x and y times the arm's length L above and
-    beside that; x and y are joint 1's at zero. The pull comes from h + L f / s; a spring's (height 0) grows with the distance
-    from there. The torques are observable by the wind-up of the joints.
+    A spring may be slack up to a length: times 1 - slack L / d, which is 0 where negative. The hook h is on joint 1's axis at
+    joint 2's height, or `height`, x and y times the arm's length L above and beside that; x and y are joint 1's at zero. The pull
+    comes from h + L f / s; a spring's (height 0, or slack) grows with the distance from there. The torques are observable by the
+    wind-up of the joints.
     """
 
+    slack: float = 0.0
     height: float = 0.0
     x: float = 0.0
     y: float = 0.0
@@ -48,22 +54,30 @@ class DressPack(Effect):
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
-        """Return a spring, and a constant pull from several heights; none where no link is long enough."""
-        return tuple(form for height in (0.0, *HEIGHTS) if (form := cls(robot, height)).declared)
+        """Return a spring, slack ones from two heights, a constant pull from three; none where no link is long enough."""
+        slack = (cls(robot, SLACK, height) for height in (0.0, HEIGHTS[0]))
+        forms = (cls(robot), *slack, *(cls(robot, height=height) for height in HEIGHTS))
+        return tuple(form for form in forms if form.declared)
 
     def finer(self, data: Measurements) -> tuple[Self, ...]:
-        """Return heights between this one and its neighbours, and places aside."""
-        if not self.height:
+        """Return heights, or lengths that are slack, between this one and its neighbours, and places aside."""
+        if not self.slack and not self.height:
             return ()
-        near = [replace(self, height=self.height * 2 ** (step / 8)) for step in (-6, -4, -2, -1, 1, 2, 4, 6)]
-        near += [replace(self, x=self.x + aside) for aside in ASIDE]
-        return (*near, *(replace(self, y=self.y + aside) for aside in ASIDE))
+        near = [replace(self, x=self.x + aside) for aside in ASIDE]
+        near += [replace(self, y=self.y + aside) for aside in ASIDE]
+        if not self.slack:
+            return (*near, *(replace(self, height=float(self.height * step)) for step in STEPS))
+        near += [replace(self, height=self.height + aside) for aside in ASIDE]
+        return (*near, *(replace(self, slack=float(self.slack * step)) for step in STEPS))
 
     @property
     def detail(self) -> str:
         """What pulls, and from where."""
         aside = f", {self.x:.3g} and {self.y:.3g} aside" if self.x or self.y else ""
-        return f"constant, from {self.height:.3g} arm's lengths above joint 2{aside}" if self.height else "spring"
+        hung = f"from {self.height:.3g} arm's lengths above joint 2{aside}" if self.height or aside else ""
+        if self.slack:
+            return f"slack up to {self.slack:.3g} arm's lengths{hung and ' '}{hung}"
+        return f"constant, {hung}" if self.height else "spring"
 
     @classmethod
     def unfit(cls, robot: Robot, data: Measurements) -> str:
@@ -120,8 +134,9 @@ def _torque(effect: DressPack) -> ca.Function:
     shoulder, *ends = (turned @ (frame[:3, 3] - first[:3, 3]) for frame in frames)
     hook = reach * ca.vertcat(effect.x, effect.y, shoulder[2] / reach + effect.height)
     for end, own in zip(ends, ca.vertsplit(p, 4), strict=True):
-        away = ca.sqrt(ca.sumsqr(hook - end) + (SLACK * reach) ** 2) if effect.height else reach
-        forces.append((own[0] * (hook - end) + own[1:] * reach) / away)
+        away = ca.sqrt(ca.sumsqr(hook - end) + (NEAR * reach) ** 2)
+        pull = (own[0] * (hook - end) + own[1:] * reach) / (away if effect.height and not effect.slack else reach)
+        forces.append(pull * ca.fmax(0, 1 - effect.slack * reach / away) if effect.slack else pull)
         torque += ca.jtimes(end, q, forces[-1], True)
     return ca.Function("torque", [q, p], [torque, *forces])
 
