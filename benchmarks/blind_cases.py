@@ -65,6 +65,7 @@ UNITS = (
     Unit("link-torsion", (2, 4), 3e-7),
     Unit("base-compliance", (0,), 5e-8),
     Unit("gravity-compensator", (2,), 30e3),
+    Unit("dress-pack", (4,), 500.0, ("", "below", "taut")),
     Unit("payload-mass", (0,), 0.3),
     Unit("payload-com", (0,), 0.1),
     Unit("link-mass", (3,), 0.3),

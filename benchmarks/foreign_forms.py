@@ -15,6 +15,15 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from foreign_physics import GRAVITY, Arm, Array, Rows, State, Yielding, flange, of_row, points
+from foreign_pulls import (
+    balancer_aside,
+    hanging_hose,
+    hose_at_elbow,
+    hose_at_flange,
+    hose_from_below,
+    taut_hose,
+    wound_hose,
+)
 from scipy.spatial.transform import Rotation
 
 TURNED = 3.0  # m from the device, where a turn of its frame moves points as far as a shift does
@@ -819,6 +828,7 @@ ANGULAR = {"joint-eccentricity": (0,), "periodic-joint-error": (0,), "gear-trans
 DIRECTIONAL = {"joint-backlash": (0,), "joint-hysteresis": (0,), "friction-wind-up": (0,)}
 TORQUE = {"nonlinear-joint-stiffness": (0,), "torque-backlash": (0,)}
 BEARING = {"bearing-play": (0,), "link-torsion": (0, -1), "link-bending": (0, -1)}
+WEIGHTS = {"payload-mass": (), "payload-com": (), "link-mass": ()}
 DEVICE = {"frame-drift": (), "frame-step": (), "session-frame": (), "stand-growth": (), "scale-growth": ()}
 GRAVITY_ARMS = ("large-6", "cobot-6", "arm-7")
 
@@ -841,6 +851,11 @@ def loaded(arm: Arm) -> tuple[int, ...]:
 def long(arm: Arm) -> tuple[int, ...]:
     """Long links."""
     return arm.long
+
+
+def upper(arm: Arm) -> tuple[int, ...]:
+    """Long links beyond the one that joint 2 moves."""
+    return tuple(link for link in arm.long if link > 2)
 
 
 def nowhere(arm: Arm) -> tuple[int, ...]:
@@ -914,20 +929,37 @@ def _forms() -> tuple[Form, ...]:
     both("gravity-compensator", "yielding", (spring_behind, gas_spring), lambda arm: (2,),
          {"gravity-compensator": (), "joint-eccentricity": (0,), "periodic-joint-error": (0,), "joint-error-map": (0,)},
          arms=("large-6",), small=10.0)  # fmt: skip
+    # Held at a link, at its neighbour or at the flange a hose acts alike; one that sags adds its weight. Between elbow and flange,
+    # and wound about a joint, its pull is a function of a wrist's angles: of that family, and wound of nothing else.
+    pulls = {"dress-pack": ()}
+    both(
+        "dress-pack",
+        "yielding",
+        (balancer_aside, taut_hose, hose_from_below),
+        upper,
+        pulls,
+        arms=GRAVITY_ARMS,
+        small=1.0,
+    )
+    both("dress-pack", "yielding", (hose_at_flange,), lambda arm: (arm.n,), pulls, arms=GRAVITY_ARMS, small=1.0)
+    both("dress-pack", "yielding", (hanging_hose,), upper, pulls | WEIGHTS, arms=GRAVITY_ARMS, small=1.0)
+    both("dress-pack", "yielding", (hose_at_elbow,), lambda arm: (arm.n,),
+         pulls | dict.fromkeys(ANGULAR, (-1, -2)), arms=GRAVITY_ARMS, small=1.0)  # fmt: skip
+    both("dress-pack", "yielding", (wound_hose,), lambda arm: (arm.n - 2,),
+         pulls | ANGULAR | {"gear-ratio-error": (0,)}, arms=GRAVITY_ARMS, small=1.0)  # fmt: skip
     # Weight that is not stated acts wherever it is carried: heavier there, or farther out. Both loads are off in these forms.
-    weights = {"payload-mass": (), "payload-com": (), "link-mass": ()}
     both(
         "payload-mass",
         "load",
         (offset_scale, hose_at_the_tool),
         nowhere,
-        weights,
+        WEIGHTS,
         arms=GRAVITY_ARMS,
         names=2,
         small=0.01,
     )
-    both("payload-com", "load", (heavy_side, sliding_load), nowhere, weights, arms=GRAVITY_ARMS, names=2, small=1e-4)
-    both("link-mass", "load", (dress_pack, two_cast_links), lambda arm: (3, 4), weights, arms=GRAVITY_ARMS, small=0.01)
+    both("payload-com", "load", (heavy_side, sliding_load), nowhere, WEIGHTS, arms=GRAVITY_ARMS, names=2, small=1e-4)
+    both("link-mass", "load", (dress_pack, two_cast_links), lambda arm: (3, 4), WEIGHTS, arms=GRAVITY_ARMS, small=0.01)
     # A mount beyond the flange turns and shifts under the load; so does what turns the flange under the same moment.
     both("tool-deflection", "yielding", (rubber_mount, slanting_bracket), lambda arm: (arm.n,),
          {"tool-deflection": (), "tool-sag": (), "bearing-compliance": (0,), "link-bending": (0,)}, arms=GRAVITY_ARMS)  # fmt: skip
@@ -968,7 +1000,7 @@ def _forms() -> tuple[Form, ...]:
         needs=("time", "temperature"),
     )
     both("tool-slip", "yielding", (tool_creeping_on, tool_bumped_twice), nowhere, {}, needs=("time",), names=3)
-    both("payload-step", "load", (lost_on_the_way, emptying), nowhere, weights, arms=GRAVITY_ARMS, needs=("time",), names=2,
+    both("payload-step", "load", (lost_on_the_way, emptying), nowhere, WEIGHTS, arms=GRAVITY_ARMS, needs=("time",), names=2,
          small=1e-3)  # fmt: skip
     both("axis-wobble", "yielding", (lobed_races, bent_shaft), driven, {}, names=2)
     # A belt that hardens is a slide's stiffness that is not linear, too.

@@ -10,13 +10,14 @@ from hidden import beams, forms, frame_causes, joint_causes
 from hidden.file_faults import ON_TABLE
 from hidden.frame_causes import stepped
 from hidden.random_functions import direction, random_function
-from hidden.simulator import Array, Motion, Robot, Rows, State, carried, close, equilibrium, tool_point
+from hidden.simulator import Array, Motion, Robot, Rows, State, carried, close, equilibrium, frames, tool_point
 from hidden.tool_causes import ON_TOOL
 
 WIND_UP = np.deg2rad(5.0)  # travel over which friction winds a joint up
 WARM_UP = 3600.0  # s
 COLUMN, ARM = 0.6, 0.15  # m: where a gas cylinder is hinged, below joint 2 and along the arm
-HUNG_UP = np.array([0.5, -0.3, 2.8])  # m from the base: where hoses come from
+HUNG_UP, REEL = np.array([[0.5, -0.3, 2.8], [0.4, 0.9, 0.0]])  # m from the base: where hoses come from
+SLACK = 1.5  # m: length of hoses that pull where they are taut alone
 PAYLOADS = ("none", "half", "full")
 
 
@@ -61,7 +62,7 @@ def response(robot: Robot, rows: Rows, state: State, hidden: tuple[Hidden, ...])
     torque[:, 1] += helped
     for h in hidden:
         if h.cause == "dress-pack":
-            torque += dress_pack(h, state)
+            torque += dress_pack(h, robot, rows, state)
     motion = replace(Motion.none(len(rows), robot.n), joint=robot.compliance * torque)
     for h in hidden:
         if h.cause in ON_JOINT:
@@ -230,13 +231,19 @@ def gravity_compensator(h: Hidden, state: State) -> Array:
     return h.size * (np.cross(arm, push) * joint[:, :3, 2]).sum(axis=1)
 
 
-def dress_pack(h: Hidden, state: State) -> Array:
-    """Torques [Nm] on a serial arm's joints of hoses that pull a link's far end, as hard anywhere, towards a place above."""
+def dress_pack(h: Hidden, robot: Robot, rows: Rows, state: State) -> Array:
+    """Torques [Nm] on the motors of hoses that pull a link's far end, as hard anywhere, towards a place above.
+
+    With extra "below" the place is on the floor; with "taut" they are slack up to SLACK, and a spring beyond it.
+    """
     end = state.frames.tips[h.joint - 1][:, :3, 3]
-    pull = h.size * (HUNG_UP - end) / np.linalg.norm(HUNG_UP - end, axis=1)[:, None]
-    torque = np.zeros_like(state.torque)
-    for i, joint in enumerate(state.frames.joints[: h.joint]):
-        torque[:, i] = (np.cross(end - joint[:, :3, 3], pull) * joint[:, :3, 2]).sum(axis=1)
+    way = (REEL if h.extra == "below" else HUNG_UP) - end
+    length = np.linalg.norm(way, axis=1)[:, None]
+    pull = h.size * (np.maximum(length - SLACK, 0) if h.extra == "taut" else 1.0) * way / length
+    still, torque = Motion.none(len(rows), robot.n), np.zeros_like(state.torque)
+    for i, step in enumerate(1e-5 * np.eye(robot.n)):
+        there, here = (frames(robot, rows.q + by, still).tips[h.joint - 1][:, :3, 3] for by in (step, -step))
+        torque[:, i] = ((there - here) * pull).sum(axis=1) / 2e-5  # by the work that the force does
     return torque
 
 
