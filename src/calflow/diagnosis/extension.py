@@ -216,7 +216,7 @@ def weighed(
     search continues from the others until nothing that it finds is left beside those that it began from.
     """
     begin, found = FittedTrial(first.first, start, catalogue), first.fitted
-    searched, judged = set[frozenset[Cause]](), set[frozenset[Cause]]()
+    searched, judged, last = set[frozenset[Cause]](), set[frozenset[Cause]](), frozenset[Cause]()
     while True:
         now = beside_background(found, basis)
         while weakest := _weakest(now, basis, catalogue.variants):
@@ -238,7 +238,7 @@ def weighed(
             search.say(f"{words(instead)} in the place of an unexplained error")
             found = now.with_causes([*now.causes, instead])
             continue
-        if any(held <= begun for begun in searched):
+        if any(held <= begun for begun in searched) or _would_find_again(beside, last, search):
             ended = beside
             break
         searched.add(held)
@@ -246,8 +246,8 @@ def weighed(
             inputs = ", ".join(dict.fromkeys(map(" and ".join, left.inputs)))
             search.say(f"the residuals are smooth in {inputs}: causes are tested beside that")
         ended = _searched(replace(begin, fitted=replace(start, background=left, shared=now.shared)), beside, search)
-        found = ended.fitted
-        if frozenset(found.causes) == held:
+        found, last = ended.fitted, frozenset(ended.causes)
+        if last == held:
             break
     # A cause that was found beside a smaller background, or beside other causes, may hardly show beside these.
     while hidden := next((finding.cause for finding in ended.own_findings if not finding.is_shown), None):
@@ -259,6 +259,19 @@ def weighed(
         replace(finding, unnamed=against[finding.cause], carries_over=carries[finding.cause])
         for finding in ended.weighed_findings
     )
+
+
+def _would_find_again(trial: FittedTrial, last: frozenset[Cause], search: Stepwise) -> bool:
+    """Whether a search from a model would find, linear, what the last one ended with and has given way, and nothing else."""
+    causes, gone = list(trial.causes), {cause.place for cause in last.difference(trial.causes)}
+    if not gone or not last.issuperset(causes):
+        return False
+    while passed := search.acceptance.passing(trial.linearisation.tested_with(causes).scores, trial.first.family):
+        if passed[0].cause.place not in gone:
+            return False
+        causes.append(passed[0].cause)
+        gone.remove(causes[-1].place)
+    return len(causes) > len(trial.causes)
 
 
 def _named_instead(trial: FittedTrial, basis: BackgroundBasis, search: Stepwise) -> Cause | None:

@@ -111,13 +111,15 @@ class Basis:
 class Probe:
     """A problem at p, with additional effects at nominal values: residuals and Jacobian of any of its rows.
 
-    graphs: function of a row for each of the problem's blocks; bases: derivatives of the inner quantities by the effects'
-    parameters, empty where an observation does not report a single point, the graphs then holding all derivatives; width: number
-    of the effects' parameters; foreign: of each block, the columns of effects that its device does not have.
+    n_parameters: the problem's, whose columns come first; graphs: of each block, derivatives by the inner quantities and a row's
+    state; bases: of these quantities by the effects' parameters, empty, as graphs, where an observation does not report a single
+    point: the problem's model then has the effects; width: number of their parameters; foreign: of each block, the columns of
+    effects that its device does not have.
     """
 
     problem: LeastSquares
     p: np.ndarray
+    n_parameters: int
     graphs: tuple[ca.Function, ...]
     bases: tuple[Basis, ...]
     width: int
@@ -126,20 +128,17 @@ class Probe:
     @staticmethod
     def of(problem: LeastSquares, p: np.ndarray, effects: Sequence[Effect]) -> Probe:
         """Return the probe of a problem at p, with graphs built once per model."""
-        model = problem.model
+        model, n = problem.model, len(p)
         foreign = tuple(_foreign(effects, block.observation.series.device) for block in problem.blocks)
-        if not effects:  # the graphs of the fit serve
-            return Probe(problem, p, tuple(block.graph for block in problem.blocks), (), 0, foreign)
+        if not effects:
+            return Probe(problem, p, n, (), (), 0, foreign)
         bases, width = _bases(effects, model.given)
         moved = problem.on(replace(model, probes=(Levers(model.robot),)))
-        pairs = zip(problem.blocks, moved.blocks, strict=True)
-        graphs = tuple(graph for block, with_levers in pairs if (graph := _graph(block, with_levers)))
+        graphs = tuple(filter(None, map(_graph, problem.blocks, moved.blocks)))
         if len(graphs) == len(problem.blocks):
-            still = np.zeros(_width(Inner.still(model.robot)))
-            return Probe(problem, np.append(p, still), graphs, tuple(bases), width, foreign)
+            return Probe(problem, p, n, graphs, tuple(bases), width, foreign)
         large = replace(model, probes=tuple(effects))
-        graphs = tuple(block.graph for block in problem.on(large).blocks)
-        return Probe(problem, np.append(p, large.nominal[len(p) :]), graphs, (), width, foreign)
+        return Probe(problem.on(large), np.append(p, large.nominal[n:]), n, (), (), width, foreign)
 
     def compiled(self, passes: int) -> Probe:
         """Return the same with graphs compiled, where that pays for the given number of passes over all rows."""
@@ -149,10 +148,6 @@ class Probe:
         return replace(self, graphs=graphs, bases=bases)
 
     @property
-    def n_parameters(self) -> int:
-        return len(self.problem.model.parameters)
-
-    @property
     def shape(self) -> tuple[int, int]:
         """Shape of the Jacobian, whose columns are the model's parameters, then those of the effects."""
         return self.problem.size, self.n_parameters + self.width
@@ -160,22 +155,22 @@ class Probe:
     def parts(self) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
         """Yield, for some hundred residuals at a time, their slice, and the decorrelated residuals and Jacobian."""
         start, n = 0, self.n_parameters
-        for block, graph, foreign in zip(self.problem.blocks, self.graphs, self.foreign, strict=True):
+        for k, block in enumerate(self.problem.blocks):
             for part in block.parts(size=ROWS):
-                left, slopes, *state = over_rows(graph, self.p, *part.data)
-                slopes = slopes.T.reshape(left.shape[1], block.n_units, -1)
+                left, slopes = part.linearised(self.p)
                 if self.bases:
-                    levers = slopes[..., n:]
-                    slopes = np.concatenate([slopes[..., :n], np.zeros((*slopes.shape[:2], self.width))], axis=2)
+                    levers, state = over_rows(self.graphs[k], self.p, *part.data)
+                    levers = levers.T.reshape(*left.shape, -1)
+                    slopes = np.concatenate([slopes, np.zeros((*left.shape, self.width))], axis=2)
                     for basis in self.bases:
                         moved = np.take(levers, basis.quantity, axis=2)
-                        moved *= over_rows(basis.function, np.zeros(0), state[0], part.conditions)[0].T[:, None]
+                        moved *= over_rows(basis.function, np.zeros(0), state, part.conditions)[0].T[:, None]
                         if len(basis.first) < len(basis.column):  # else the sums are of one each
                             moved = np.add.reduceat(moved, basis.first, axis=2)
                         slopes[:, :, n:][:, :, basis.columns] = moved
-                    slopes[:, :, n + foreign] = 0.0
+                    slopes[:, :, n + self.foreign[k]] = 0.0
                 rows, start = slice(start, start + left.size), start + left.size
-                yield rows, part.decorrelated(left.T).ravel(), part.decorrelated(slopes).reshape(-1, self.shape[1])
+                yield rows, part.decorrelated(left).ravel(), part.decorrelated(slopes).reshape(-1, self.shape[1])
 
     def whole(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the decorrelated residuals (n,) and the Jacobian of all rows."""
@@ -211,7 +206,7 @@ def _bases(effects: Sequence[Effect], given: tuple[str, ...]) -> tuple[list[Basi
 
 
 def _graph(block: SeriesBlock, moved: SeriesBlock) -> ca.Function | None:
-    """Return the function of a row: whitened residual, its Jacobian by parameters and levers, transposed, and the row's state.
+    """Return the function of a row: Jacobian of the whitened residual by levers, transposed, and the row's state.
 
     It is built once per model; moved is the same block of the model with levers. None where an observation depends on several
     points.
@@ -227,11 +222,11 @@ def _graph(block: SeriesBlock, moved: SeriesBlock) -> ca.Function | None:
     points = (seen[0] if seen else ca.SX(3, 1) for seen in asked)
     state = stacked((predicted.dims, predicted.loads, predicted.state, *points))
     residual, state = ca.cse([residual, state])  # a third of the operations are duplicates
-    outputs = [residual, ca.jacobian(residual, p).T, state]
     (probe,) = moved.model.probes
-    levers = p[moved.model.columns(probe).tolist()]
-    outputs = ca.substitute(outputs, [levers], [ca.SX.zeros(levers.numel())])
-    made[key] = ca.Function("levers", inputs, [ca.densify(output) for output in outputs])
+    levers, own = p[moved.model.columns(probe).tolist()], block.model.symbols[0]
+    outputs = [ca.jacobian(residual, levers).T, state]
+    outputs = ca.substitute(outputs, [p], [ca.vertcat(own, ca.SX.zeros(levers.numel()))])
+    made[key] = ca.Function("levers", [own, *inputs[1:]], [ca.densify(output) for output in outputs])
     return made[key]
 
 
