@@ -39,7 +39,7 @@ VARIANTS = {  # how many forms there are to try, where not one
     "joint-hysteresis": 5,
     "joint-error-map": 3,
     "tool-deflection": 4,
-    "tool-sag": 3,
+    "tool-sag": 4,
     "base-tilt": 3,
     "thermal-growth": 18,
     "housing-growth": 18,

@@ -54,6 +54,17 @@ def test_a_bracket_turns_what_is_on_it():
         assert_allclose(own, np.cross(turn, place["point_m"]), atol=2e-7)
 
 
+def test_a_loose_tool_lies_on_its_lower_side_however_little_that_is_lower():
+    """Fails if a tool that lies in its holder's clearance moves in proportion to its tilt, as one that bends does."""
+    own, down = shifts("loose", {"tool.c": 1e-4, "tool.t": 3e-4}, "E")
+    across = down * [1.0, 1.0, 0.0]
+    lower = across / np.linalg.norm(across, axis=1, keepdims=True)
+    clear = np.linalg.norm(across, axis=1) > 0.3
+    assert clear.sum() > 0
+    turned = np.cross(3e-4 * np.cross([0.0, 0.0, 1.0], lower), POINTS["E"]["point_m"])
+    assert_allclose(own[clear], (1e-4 * lower + turned)[clear], rtol=0.01, atol=1e-6)
+
+
 @pytest.mark.parametrize("effect", [ToolSag, ToolDeflection])
 def test_a_bracket_that_turns_alone_has_a_size(effect):
     """Fails if the size reported of a tool that rotates about the flange is a shift of the flange, which is none."""

@@ -20,10 +20,14 @@ Z = np.array([0.0, 0.0, 1.0])
 def tool_sag(h: Hidden, robot: Robot, rows: Rows, state: State) -> Motion:
     """A bracket along the flange's axis sags by size across it and turns; with extra "bar" one in a drawn direction sags.
 
+    With extra "loose" the tool lies by size on its lower side, and turns as much as the bracket.
+
     With extra a number, from 0, only that marker's mount sags, a bar in a drawn direction.
     """
     down = _in_flange(state, WEIGHT / np.linalg.norm(WEIGHT))
-    if h.extra == "":
+    if h.extra == "loose":
+        down = _across(down, Z) / np.linalg.norm(_across(down, Z), axis=1, keepdims=True)
+    if h.extra in ("", "loose"):
         return _moved(robot, rows, h.size * _across(down, Z), h.size * 1.5 / LENGTH * np.cross(Z, down))
     own = np.ones(len(rows)) if h.extra == "bar" else rows.marker == int(h.extra)
     return _moved(robot, rows, own[:, None] * h.size * _across(down, _drawn(h.rng)), 0 * down)

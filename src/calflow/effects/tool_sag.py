@@ -1,4 +1,4 @@
-"""Tool sag: a flange, tool or marker mount that deflects under its own, unknown weight."""
+"""Tool sag: a flange, tool or marker mount that deflects under its own, unknown weight, or lies loose on its lower side."""
 
 from __future__ import annotations
 
@@ -18,7 +18,10 @@ from calflow.robot.parts import Parameter
 SAG_SD, SAG_BOUND = 1e-4, 5e-3  # m
 TURN_SD, TURN_BOUND = 3e-4, 20e-3  # rad
 
-Shape = Literal["cantilever", "symmetric", "any"]
+LEVEL = 0.03  # rad from the vertical, within which a loose tool hangs clear of its sides
+
+Shape = Literal["cantilever", "symmetric", "any", "loose"]
+ALONG_AXIS = ("cantilever", "loose")  # shapes that are alike all round the flange's axis
 
 
 @dataclass(frozen=True)
@@ -26,7 +29,9 @@ class ToolSag(Effect):
     """Shift = C · u, u gravity's direction in the flange's frame; of a tool with all its markers, or of one marker alone.
 
     A cantilever along the flange's z sags by c across it, and the tool rotates by t about z x u, so that markers move by
-    different amounts. Otherwise C is symmetric, as for a bar in any direction (Maxwell's reciprocity, 1864), or a full matrix:
+    different amounts. So does a loose one, of a worn tool changer say, but all the way to its lower side wherever that is: u is
+    then divided by its length across the flange's axis. Otherwise C is symmetric, as for a bar in any direction (Maxwell's
+    reciprocity, 1864), or a full matrix:
     a marker off the neutral line of its mount moves across gravity too. The isotropic part of the tool's C is the same shift
     of every marker in every pose, so that its last entry is redundant and omitted.
     """
@@ -39,6 +44,7 @@ class ToolSag(Effect):
         "cantilever": "across the flange's axis",
         "symmetric": "by direction",
         "any": "by direction, one across another",
+        "loose": "loose, on its lower side",
     }
     words = Words(
         "sag of the tool",
@@ -64,12 +70,12 @@ class ToolSag(Effect):
         return every[:-1] if part in self._tools else every
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return the entries of each part's C; for a cantilever its sag, and the tool's rotation."""
+        """Return the entries of each part's C; for a cantilever, or a loose tool, its sag, and the tool's rotation."""
         return tuple(parameter for part in (*self._tools, *self._markers) for parameter in self._declare(part))
 
     def _declare(self, part: str) -> Iterator[Parameter]:
         words = f"sag of {'the tool' if part == TOOL else part} under its own weight"
-        if self.shape == "cantilever":
+        if self.shape in ALONG_AXIS:
             yield Parameter(self.id, part, "c", "m", SAG_SD, 0.0, SAG_BOUND, meaning=words)
             if part in self._tools:
                 yield Parameter(self.id, part, "t", "rad", TURN_SD, 0.0, TURN_BOUND, meaning=f"{words}, its turn")
@@ -79,8 +85,8 @@ class ToolSag(Effect):
             yield Parameter(self.id, part, symbol, "m", SAG_SD, -SAG_BOUND, SAG_BOUND, meaning=words)
 
     def size(self, p: ca.SX, own: Sequence[Parameter]) -> ca.SX:
-        """Return the shift: of a cantilever that rotates, and may do so alone, that of the farthest marker."""
-        turns = self.shape == "cantilever" and p.numel() == 2
+        """Return the shift: of a tool that rotates, and may do so alone, that of the farthest marker."""
+        turns = self.shape in ALONG_AXIS and p.numel() == 2
         return p[0] + reach(self.robot) * p[1] if turns else super().size(p, own)
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
@@ -95,7 +101,9 @@ class ToolSag(Effect):
 
     def _twist(self, part: str, p: ca.SX, down: ca.SX) -> ca.SX:
         """Return the flange's twist (6,) by one part's parameters."""
-        if self.shape == "cantilever":
+        if self.shape == "loose":
+            down = down / ca.sqrt(ca.sumsqr(down[:2]) + LEVEL**2)
+        if self.shape in ALONG_AXIS:
             turn = p[1] * ca.vertcat(-down[1], down[0], 0) if part in self._tools else ca.SX(3, 1)
             return ca.vertcat(p[0] * down[0], p[0] * down[1], 0, turn)
         shift = ca.SX(3, 1)
