@@ -23,9 +23,8 @@ SD, BOUND = 0.1, 1.0
 HEIGHTS = (0.4, 0.8, 1.6)  # of the hook h above joint 2, in lengths of the arm
 SLACK = 0.6  # length of a hose that is taut beyond it alone, in lengths of the arm
 NEAR = 0.1  # lengths of the arm from the hook within which a pull turns about: a hose does not end in a point
-STEPS = 2 ** (
-    np.array([-6, -4, -2, -1, 1, 2, 4, 6]) / 8
-)  # times a height or length, tried when refining the best variant
+# Times a height or length, tried when refining the best variant.
+STEPS = 2 ** (np.array([-6, -4, -2, -1, 1, 2, 4, 6]) / 8)
 ASIDE = (-0.2, -0.1, -0.05, 0.05, 0.1, 0.2)  # lengths of the arm, tried likewise
 POSES = 64  # over which the size of a pull is its root mean square
 

@@ -31,9 +31,8 @@ class ToolSag(Effect):
     A cantilever along the flange's z sags by c across it, and the tool rotates by t about z x u, so that markers move by
     different amounts. So does a loose one, of a worn tool changer say, but all the way to its lower side wherever that is: u is
     then divided by its length across the flange's axis. Otherwise C is symmetric, as for a bar in any direction (Maxwell's
-    reciprocity, 1864), or a full matrix:
-    a marker off the neutral line of its mount moves across gravity too. The isotropic part of the tool's C is the same shift
-    of every marker in every pose, so that its last entry is redundant and omitted.
+    reciprocity, 1864), or a full matrix: a marker off the neutral line of its mount moves across gravity too. The isotropic part
+    of the tool's C is the same shift of every marker in every pose, so that its last entry is redundant and omitted.
     """
 
     shape: Shape = "cantilever"
