@@ -47,13 +47,3 @@ def test_it_does_not_decide_how_much_the_model_lacks(fits):
     """Fails if one bad row enlarges the discrepancy of all others."""
     clean, gross = (np.median(fitted.noise.total) for fitted in fits)
     assert gross == pytest.approx(clean, rel=0.15)
-
-
-@pytest.mark.parametrize(("size", "counts"), [(4e-4, True), (2e-3, False)])
-def test_what_the_model_may_lack_counts_in_the_model_to_be_used(size, counts):
-    """Fails if what a robot does at one pose of eighty is taken from its promise, or a mistake of the data is not."""
-    table = hidden([]).table.copy()
-    table.loc[0, "x"] += size
-    searched = start(replace(hidden([]), table=table)).with_causes([])
-    assert searched.outlier_factor[0] > 1
-    assert np.all(searched.counting().outlier_factor == 1) == counts

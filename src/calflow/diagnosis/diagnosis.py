@@ -278,7 +278,7 @@ def search_causes(
     otherwise = judged or other or (extended.outlier_factor > 1).any()
     final = deployed_model(extended, judged) if otherwise else None
     # The search takes markers of a standstill as independent.
-    final = final and final.counting().sharing()
+    final = final and final.sharing()
     in_use = final.causes if final else ()
     deployed = [verdict for verdict in judged if verdict.cause in in_use]
     suspects = [verdict for verdict in judged if verdict.cause not in in_use]
@@ -287,7 +287,7 @@ def search_causes(
     ordered = (*deployed, *suspects)
     in_reach = models_in_reach(extended, ordered, beside, every, suspects)
     unnamed_by_left = {verdict.cause: share_unnamed(verdict, extended.model, left) for verdict in deployed}
-    alternatives = fitted_alternatives(deployed, extended.counting(), suspects, in_reach, unnamed_by_left)
+    alternatives = fitted_alternatives(deployed, extended, suspects, in_reach, unnamed_by_left)
     doubted = {
         other.gone: other.probability
         for other in alternatives

@@ -23,7 +23,7 @@ from calflow.estimation.fit import (
     reestimated,
     refitted_sharing,
 )
-from calflow.estimation.lack_of_fit import SIGNIFICANT, UNMODELLED, Evidence, LackOfFit
+from calflow.estimation.lack_of_fit import SIGNIFICANT, Evidence, LackOfFit
 from calflow.estimation.least_squares import LeastSquares, Loss
 from calflow.estimation.leverage import LeftOut, Studentised, excess, left_out
 from calflow.estimation.noise import NO_DISCREPANCY, Noise, PerUnit
@@ -180,19 +180,6 @@ class Fitted:
             shared=self.shared,
         )
 
-    def counting(self) -> Fitted:
-        """Return the model refitted with the full weight of rows that are off by no more than physics that it may lack.
-
-        The search needs them out of its way, but what a robot does at one of thirty poses it does at new poses, too.
-        """
-        if (self.outlier_factor == 1).all():
-            return self
-        bare = replace(self.device, discrepancy=PerUnit(), sigma=self._bare)
-        every = _settled(
-            self.model, self.data, bare, self.fit.estimate, self.fit.loss, least=UNMODELLED * self.noise.usual
-        )
-        return replace(every, background=self.background, shared=self.shared)
-
     def sharing(self) -> Fitted:
         """Return the model refitted with the errors that markers of one standstill share, as identify fits it."""
         result, noise = refitted_sharing(self.fit, self.data, self.noise, self.intraclass)
@@ -209,11 +196,6 @@ class Fitted:
     @property
     def causes(self) -> tuple[Cause, ...]:
         return self.model.causes
-
-    @property
-    def _bare(self) -> np.ndarray:
-        """The device's noise without outliers' factors, (n_rows,)."""
-        return np.where(self.device.estimated, self.noise.sigma / self.outlier_factor, self.device.sigma)
 
     @property
     def plain(self) -> tuple[Effect, ...]:
@@ -251,8 +233,9 @@ class Fitted:
         if held not in self.visited:
             model = self._with(causes)
             start = self.model.handed_on(self.fit.estimate, model) if start is None else start
-            near = np.where(self.device.estimated, np.sqrt(1 - share), 1.0)
-            bare = replace(self.device, discrepancy=PerUnit(), sigma=self._bare * near)
+            near = self.noise.sigma / self.outlier_factor * np.sqrt(1 - share)
+            sigma = np.where(self.device.estimated, near, self.device.sigma)
+            bare = replace(self.device, discrepancy=PerUnit(), sigma=sigma)
             self.visited[held] = _settled(
                 model, self.data, bare, start, self.fit.loss, self.outlier_factor, self.noise.discrepancy
             )
@@ -280,13 +263,11 @@ def _settled(
     loss: Loss,
     outlier_factor: np.ndarray = ALIKE,
     discrepancy: PerUnit = NO_DISCREPANCY,
-    least: np.ndarray | float = 0.0,
 ) -> Fitted:
     """Return the fit from a start, with rows beyond HUBER standard deviations weighted as by Huber (1964), priors scaled.
 
-    A row that is off by less than least (n_rows,) [leading unit] keeps its weight. outlier_factor (n_rows,) is the factor by which
-    rows exceeded that in the fit before, and discrepancy that fit's. Rough fits settle the noise, the weights and the scales, from
-    which a last one starts.
+    outlier_factor (n_rows,) is the factor by which rows exceeded that in the fit before, and discrepancy that fit's. Rough fits
+    settle the noise, the weights and the scales, from which a last one starts.
     """
     noise = _down_weighted(device, outlier_factor, discrepancy)
     for _ in range(WEIGHINGS):
@@ -296,8 +277,7 @@ def _settled(
         there, start = Fit.at(LeastSquares.of(model, data, now), rough.estimate, loss), rough.estimate
         bare = np.where(now.estimated, now.sigma / outlier_factor, device.sigma)
         before = now.total / replace(now, sigma=bare).total
-        limit = np.maximum(HUBER, least / replace(now, sigma=bare).total)
-        outlier_factor, again = _excess(there, before, limit), scaled(there)
+        outlier_factor, again = _excess(there, before), scaled(there)
         known = np.allclose(outlier_factor, before, rtol=SETTLED) and alike(now, noise, SETTLED)
         if known and again is there.model:
             break
@@ -312,12 +292,12 @@ def _down_weighted(device: Noise, factor: np.ndarray, discrepancy: PerUnit) -> N
     return replace(device, sigma=np.sqrt(device.sigma**2 + (factor**2 - 1) * total**2), discrepancy=discrepancy)
 
 
-def _excess(fit: Fit, outlier_factor: np.ndarray, limit: np.ndarray) -> np.ndarray:
-    """Return each row's error over a limit (n_rows,) in standard deviations, at least 1, shape (n_rows,).
+def _excess(fit: Fit, outlier_factor: np.ndarray) -> np.ndarray:
+    """Return each row's error over HUBER standard deviations, at least 1, shape (n_rows,).
 
     Their scale is that of all rows so weighted, Huber's proposal 2: the noise and discrepancy of the fit. A median would be smaller
     where a smooth error is left, and its peaks would count as outliers.
     """
     squared = np.where(fit.problem.leading, fit.residual**2, 0.0)
     size = np.sqrt(np.bincount(fit.problem.row, squared, fit.problem.n_rows)) * outlier_factor
-    return np.asarray(np.maximum(1.0, size / limit))
+    return np.asarray(np.maximum(1.0, size / HUBER))

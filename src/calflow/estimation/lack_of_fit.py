@@ -20,7 +20,6 @@ SIGNIFICANT = 0.01  # p-value below which a lack of fit is believed
 GROSS = 4.0  # robust standard deviations beyond which an error of a robust fit is an outlier
 DOUBTED = 1e-3  # p-value below which a stated noise is doubted
 WORTH_TELLING = 1.25  # least factor by which it must be wrong to be reported
-UNMODELLED = 5.0  # times a usual device's noise: what physics that a model lacks may move a row by, at most
 USELESS = 3.0  # factor beyond which a fit that used it is not to be used
 
 

@@ -16,7 +16,6 @@ import scipy
 
 from calflow.estimation.accuracy import distances, leading_errors
 from calflow.estimation.fit import Fit
-from calflow.estimation.lack_of_fit import UNMODELLED
 from calflow.estimation.leverage import Studentised
 from calflow.estimation.registration import in_measuring_frame
 from calflow.faults.base import MISNAMED, Correction, Fault, correct, fault, faulty_rows
@@ -24,7 +23,7 @@ from calflow.faults.camera_elsewhere import check_cameras
 from calflow.faults.marker_elsewhere import GeometryFit, check_markers
 from calflow.faults.mistake import LENGTH_UNITS
 from calflow.faults.reference import Reference
-from calflow.faults.rough import FAR_BETTER, GROSS
+from calflow.faults.rough import FAR_BETTER, GROSS, LEAST_GROSS
 from calflow.files.problems import refuse
 from calflow.files.units import METRE, MeasurementUnit
 from calflow.files.words import rounded
@@ -48,7 +47,7 @@ SMALL = 1e-4  # rad or m: difference step of a joint
 ALONG, SHARE = 0.9, 0.8  # cosine to a joint's direction of motion, in this share of the rows: an error of that joint
 # Poses, and the share of a joint's travel in which fewer than RUN of them lie: chance takes 1 in 5,000.
 FEWEST, NEARBY = 3, 0.15
-STAYING = "have little weight in the search for causes, but count in the accuracy"
+STAYING = "have little weight in the fit, but count in the accuracy"
 FLIPPED = "flipped-image"
 FLIPS = {"from the opposite corner": ("px_x", "px_y"), "mirrored along x": ("px_x",), "mirrored along y": ("px_y",)}
 MOSTLY = 0.8  # least share of an image's points: central ones hardly move
@@ -163,7 +162,8 @@ def gross_rows(data: Measurements, which: np.ndarray) -> tuple[Fault, ...]:
         unit = observed[int(k)].units[0]
         axes = int((~np.isnan(miss[rows][0])).sum())
         scale = float(np.median(far[rows]) / np.sqrt(scipy.special.chdtri(axes, 0.5)))
-        limit = limit_of(far[rows], scale, max(GROSS * scale, UNMODELLED * unit.usual))
+        least = LEAST_GROSS * unit.usual / METRE.usual
+        limit = limit_of(far[rows], scale, max(GROSS * scale, least))
         gross = rows & (far > limit)
         if isinstance(observed[int(k)], Camera) and (off := _mistaken(data, far, rows)):
             raise refuse(
@@ -304,7 +304,7 @@ def odd_rows(result: Fit, data: Measurements, studentised: Studentised) -> tuple
     """Return which rows (n_rows,) are outliers against the final model, and their fault.
 
     The limit follows from the tail of the residuals; clusters (see `clustered`) are not outliers. The rows are reported,
-    not excluded: their weight in the search is small, and accuracy includes them. Of those that fit another payload's name, that is
+    not excluded: their weight in the fit is small, and accuracy includes them. Of those that fit another payload's name, that is
     reported.
     """
     used = data.train | data.held_out

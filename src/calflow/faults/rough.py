@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from calflow.estimation.lack_of_fit import UNMODELLED
-from calflow.files.units import METRE
 from calflow.model import Model
 from calflow.robot.frames import nearest_rotation
 
@@ -19,8 +17,8 @@ OPEN_LOOP_ERROR = 1e3  # m: counted where a loop cannot be closed
 
 # Gross errors, in robust standard deviations of the training rows. Normal noise exceeds 6 in no data set, Student's t with
 # 3 degrees of freedom exceeds 15 in one row of a thousand. At 15 a row may be corrected, since a definite mistake must
-# also explain it; see outlier.py for unexplained rows. At least half a millimetre, more than unmodelled physics.
-GROSS, LEAST_GROSS = 15.0, UNMODELLED * METRE.usual
+# also explain it; see outlier.py for unexplained rows. At least half a millimetre: more than unmodelled physics.
+GROSS, LEAST_GROSS = 15.0, 5e-4
 # Least scale [m], of unmodelled physics: a fit to few rows may leave no residuals.
 LEAST_SCALE = LEAST_GROSS / GROSS
 FAR_BETTER = 5.0  # factor by which the correction of a mistake must reduce a row's error

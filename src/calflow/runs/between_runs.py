@@ -270,7 +270,7 @@ def _refitted(run: Calibration, causes: Sequence[Cause]) -> Calibration:
     started = replace(run, model=model, estimate=run.model.handed_on(run.estimate, model))
     scattered = repeats_scatter(train, leading_errors(run.model, run.estimate, train))
     train, noise = averaged(train, replace(run.noise(train), scatter=scattered))
-    fitted = Fitted.of(started, train, noise).counting().sharing()
+    fitted = Fitted.of(started, train, noise).sharing()
     return replace(
         started, model=fitted.model, estimate=fitted.fit.estimate, covariance=fitted.covariance,
         at_bound=fitted.fit.at_bound, errors=fitted.errors,
