@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +9,7 @@ import pandas as pd
 import pytest
 
 from calflow.diagnosis.diagnosis import Diagnosis
-from calflow.diagnosis.findings import Finding, _kept_together, _no_surer_than_its_gain, _together, findings
+from calflow.diagnosis.findings import Finding, _kept_together, _together, findings
 from calflow.diagnosis.misfit import largest_misfit
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.trial import Linearisation
@@ -144,26 +143,6 @@ def test_sizes_that_measure_two_things_are_not_put_together():
     assert _together([first, second], [one, two]).estimate == pytest.approx(6e-4)
 
 
-@pytest.mark.parametrize(("low", "high", "status", "least", "most"), [
-    (0.01, 0.05, "named", 0.99, 0.99),
-    (-0.01, 0.07, "one_of", 0.7, 0.95),
-    (-0.07, -0.01, "one_of", 0.495, 0.495),
-    (math.nan, math.nan, "named", 0.99, 0.99),
-    (0.0, 0.0, "named", 0.99, 0.99),
-])  # fmt: skip
-def test_a_cause_that_may_gain_nothing_at_held_out_poses_is_not_certain(low, high, status, least, most):
-    """Fails if a cause is more than 99 % sure while poses that no fit has seen deny it, or none of them shows it."""
-    row = Finding(
-        status="named", cause="payload-step", statement="", probability=0.99, gain_mean_mm=(low + high) / 2, gain_low_mm=low,
-        gain_high_mm=high, **Finding.of_rivals([NamedCause("frame-step", 0)]),
-    )  # fmt: skip
-    told = _no_surer_than_its_gain(row)
-    assert told.status == status
-    assert least <= told.probability <= most
-    assert told.rival_causes == ("frame-step", "unexplained")[: 1 + (status == "one_of")]
-    assert ("unexplained" in told.cannot_tell_from) == (status == "one_of")
-
-
 def test_rivals_without_their_joints_are_refused():
     """Fails if a table from which a joint was taken is read with one rival less, or ends in a traceback."""
     told = Finding.of_rivals([NamedCause("joint-backlash", 2), NamedCause("gear-ratio-error", 3)])
@@ -186,8 +165,6 @@ def test_an_error_of_two_joints_is_no_other_form_of_one_joints_curve():
 @pytest.mark.parametrize(("name", "part", "inputs", "doubted"), [
     ("bearing-compliance", "joint1", ("payload",), True),
     ("bearing-compliance", "joint1", ("q4",), False),
-    ("bearing-compliance", "joint1", ("joints",), True),
-    ("frame-drift", "device", ("joints",), False),
     ("thermal-growth", "links", ("order",), True),
     ("thermal-growth", "links", ("payload",), False),
     ("joint-eccentricity", "joint2", ("q2", "q5"), True),

@@ -72,7 +72,7 @@ class Finding:
     )
     cannot_tell_from: tuple[str, ...] = column(
         "ids of causes that it may be instead, also of those that these data could not test; `unexplained` where an unexplained "
-        "error depends on the same input, or the gain's interval includes none",
+        "error depends on the same input",
         default=(),
     )
     gain_mean_mm: float = column("reduction of the mean error at held-out poses", "mm", default=NAN)
@@ -336,7 +336,7 @@ def findings(
         before = steps[members[0]]
         used = [k for k in members if k < n] or members  # members of one family may be deployed and suspected
         after = before + sum(steps[k + 1] - steps[k] for k in used)
-        rows.append(_no_surer_than_its_gain(_gained(row, before, after, heldout, rng)))
+        rows.append(_gained(row, before, after, heldout, rng))
     if diagnosis.capped and diagnosis.verdicts:
         more = f"; with it as many causes were found as were allowed ({len(diagnosis.verdicts)}): there may be more"
         rows[-1] = replace(rows[-1], statement=rows[-1].statement + more)
@@ -360,29 +360,6 @@ def _gained(
     suffix = "_mm" if unit == METRE else ""
     shown = {f"{name}{suffix}": unit.shown(figure) for name, figure in figures.items()}
     return replace(row, error_unit=unit.label, **shown)
-
-
-def _no_surer_than_its_gain(row: Finding) -> Finding:
-    """Return a cause's finding, beside which stands an unnamed error if the gain's 95 % interval includes none.
-
-    Held-out poses are in no fit and no choice: an unnamed error in its place costs no more than the gain's distance from zero,
-    squared (Wald). The cause stays in the model.
-    """
-    in_shown, in_mm = (
-        (row.gain_mean, row.gain_low, row.gain_high),
-        (row.gain_mean_mm, row.gain_low_mm, row.gain_high_mm),
-    )
-    mean, low, high = in_shown if np.isnan(row.gain_mean_mm) else in_mm
-    if not low <= 0 or high == low:
-        return row
-    sd = (high - low) / (2 * CERTAIN)
-    share = 1 / (1 + float(np.exp(-(max(mean, 0.0) ** 2) / (2 * sd**2))))
-    others = {} if UNEXPLAINED in row.rival_causes else Finding.of_rivals([*row.rivals, NamedCause(UNEXPLAINED, 0)])
-    return replace(
-        row, status="one_of", probability=share * row.probability, family_probability=share * row.family_probability,
-        cannot_tell_from=tuple(dict.fromkeys((*row.cannot_tell_from, UNEXPLAINED))),
-        statement=f"{row.statement}, or something unexplained: it gains nothing for certain at held-out poses", **others,
-    )  # fmt: skip
 
 
 def _kept_together(causes: Sequence[Cause]) -> list[list[int]]:

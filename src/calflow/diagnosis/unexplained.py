@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 import scipy
 
-from calflow.diagnosis.background import JOINTS, Field
+from calflow.diagnosis.background import Field
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import Background
 from calflow.diagnosis.screening import MATERIAL, Score, Screening, by_place, place_probabilities
@@ -96,12 +96,9 @@ def is_any_error_along(cause: Cause, inputs: tuple[str, ...]) -> bool:
 
 
 def left_along(cause: Cause, model: Model, left: Sequence[UnexplainedStructure]) -> UnexplainedStructure | None:
-    """Return unexplained structure along an input through which a cause acts: its joint's angle, time or order, or the payload.
-
-    What depends on all joints together depends on its joint, too.
-    """
+    """Return unexplained structure along an input through which a cause acts: its joint's angle, time or order, or the payload."""
     through = set(depended_on(replace(model, effects=(cause,)))) if left else set()
-    of_joint = {*JOINTS, *(f"{of}{cause.joint}" for of in (ITS_ANGLE, ITS_TORQUE))}
+    of_joint = {f"{of}{cause.joint}" for of in (ITS_ANGLE, ITS_TORQUE)}
     inputs = of_joint if cause.joint and not cause.of_measuring() else set()
     inputs |= set(IN_TIME) if cause.of_measuring() or not through.isdisjoint((*IN_TIME, "temperature")) else set()
     inputs |= {"payload"} & through
