@@ -178,7 +178,7 @@ def noise_unknown(outcome: RunOutcome) -> Iterator[Advice]:
     if not outcome.summary.noise_known:
         repeats = f"at least {-(-MIN_REPEATS // 3)} repeats in all, better {REPEATS}"
         sentence = f"{COME_BACK.removesuffix('.')}: {repeats}. Or state the measurement noise."
-        why = "Without either, neither the noise nor a gap in the model can be seen."
+        why = "Without repeats or a stated noise, neither the noise nor a gap in the model can be seen."
         yield Advice(2, sentence, keys=f"sigma_{outcome.accuracy[0].unit}", poses=REPEATS, reason=why)
 
 
@@ -585,13 +585,8 @@ def unseen_compliance(outcome: RunOutcome) -> Iterator[Advice]:
     if unseen := [name for name in silent if name in compliant]:
         joints = listed([part_words(compliant[name]) for name in unseen], 8)
         sentence = f"For the compliance of {joints}, which the measured loads do not twist, apply a known side force."
-        yield Advice(
-            3,
-            sentence,
-            WITH_MORE,
-            poses=REACHING,
-            reason="Under the measured loads an unknown compliance does no harm.",
-        )
+        harmless = "Under the measured loads an unknown compliance does no harm."
+        yield Advice(3, sentence, WITH_MORE, poses=REACHING, reason=harmless)
 
 
 def of_kind(outcome: RunOutcome, kind: str) -> list[Statement]:
