@@ -12,6 +12,7 @@ from calflow.faults.rough import FAR_BETTER
 from calflow.files.deferred import Rotation
 from calflow.files.problems import refuse
 from calflow.measurements.measurements import Measurements
+from calflow.measurements.series import Series
 from calflow.observations.base import PLACE, Six
 from calflow.observations.camera import Camera
 from calflow.robot.frames import angles, placement_matrix
@@ -22,17 +23,22 @@ UNLIKE = 5.0  # standard deviations of a stated place, beyond which it is a mist
 def check_cameras(data: Measurements) -> None:
     """Refuse, by InputError, a stated place without which the nominal robot explains the images far better."""
     for k, series in enumerate(data.series):
-        for what in ("camera", "target") if series.kind == Camera.id else ():
-            of_place = [f"{what}_{figure}" for figure in ("origin", "rotation", "origin_sd", "rotation_sd")]
-            free = replace(series, settings=tuple(item for item in series.settings if item[0] not in of_place))
-            if free == series:
-                continue
-            before, stated = _nominal(data, k)
+        freed = {what: _without_place(series, what) for what in ("camera", "target") if series.kind == Camera.id}
+        freed = {what: free for what, free in freed.items() if free != series}
+        if not freed:
+            continue
+        before, stated = _nominal(data, k)
+        for what, free in freed.items():
             after, found = _nominal(replace(data, series=(*data.series[:k], free, *data.series[k + 1 :])), k)
             far = [place for name, place in found.placements.items() if _is_unlike(stated, name, place)]
             if far and after < before / FAR_BETTER:
                 said = f"expected about {_in_words(what, far[0])}, where the images are explained far better"
                 raise refuse(f"the {what} is not where {what}_origin_mm and {what}_rotation_deg state it: {said}")
+
+
+def _without_place(series: Series, what: str) -> Series:
+    of_place = [f"{what}_{figure}" for figure in ("origin", "rotation", "origin_sd", "rotation_sd")]
+    return replace(series, settings=tuple(item for item in series.settings if item[0] not in of_place))
 
 
 def _nominal(data: Measurements, k: int) -> tuple[float, Camera]:
